@@ -12,7 +12,6 @@ from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import published_model
 from impact_observer.io.typestores import typestore
 from impact_observer.model import Model, read_model
-from impact_observer.model.live_signals import connected
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, grid
 from impact_observer.states import Vector
@@ -56,22 +55,15 @@ def accelerometer_bag(path: Path) -> Path:
 
 
 def pulses() -> list[int]:
-    """Stamps of the index pulses of a drive, ns: 9 rad/s, faster and slower by a tenth."""
-    t = np.linspace(-2.0, DURATION + 2.0, 100_001)
-    phase = 9 * t + 1.2 * np.sin(0.8 * t) + 1.0
-    turns = np.arange(np.ceil(phase[0] / (2 * np.pi)), phase[-1] / (2 * np.pi))
-    seconds = np.interp(2 * np.pi * turns, phase, t)
-    return [EPOCH + round(each * NS_PER_S) for each in seconds[seconds > -0.9].tolist()]
+    """Stamps of the pulses of a drive of 9 rad/s, ns; the first is a turn before the epoch."""
+    period = 2 * np.pi / 9
+    return [EPOCH + round(k * period * NS_PER_S) for k in range(-1, int(DURATION / period) + 2)]
 
 
 def hammer_bag(path: Path) -> Path:
     """The hammer with the pulses of its drive."""
     model, stamps = read_model("hammer"), pulses()
-    system, live = connected(model.system)
-    assert live is not None
-    for stamp in stamps:
-        assert live.add_pulse(stamp) == ""
-    plant = Plant(system, *model.initial_state(), epoch=EPOCH, live=live)
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, EPOCH * (1 + DURATION), 100.0))
     make, header = bag_messages(), _TYPES[interfaces.HEADER]
     text = published_model(model, seed=0)

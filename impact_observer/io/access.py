@@ -43,15 +43,14 @@ SENSOR = Interface("switch", "std_msgs/msg/Bool")
 """The sensor of the sample ``config/detector/switch.yaml``."""
 ENCODER = Interface("encoder", interfaces.JOINT_STATE)
 """The sensor of the sample ``config/measurements/encoder.yaml``."""
-LIVE = (interfaces.FORCING, interfaces.GROUND_MOTION, interfaces.PHASE_REFERENCE)
-"""Topics of a node whose model has live forces or grounds, or turns with a drive."""
+LIVE = (interfaces.FORCING, interfaces.GROUND_MOTION)
+"""Topics of a node whose model has live forces or grounds."""
 NODES = {
     "plant": Access(
         (
             interfaces.IMPACTS,
             interfaces.PLANT_JOINT_STATES,
             interfaces.PLANT_MODEL,
-            interfaces.PHASE_REFERENCE,
             interfaces.SIMULATED_CLOCK,
         ),
         LIVE,
@@ -65,7 +64,7 @@ NODES = {
             interfaces.OBSERVER_MEASUREMENTS,
             interfaces.OBSERVER_BOUND,
         ),
-        (interfaces.IMPACTS, *LIVE, ENCODER),
+        (interfaces.IMPACTS, *LIVE, interfaces.PHASE_REFERENCE, ENCODER),
         ("~/reset", "~/set_state"),
     ),
     "detector": Access((interfaces.IMPACTS,), (SENSOR, interfaces.PHASE_REFERENCE)),

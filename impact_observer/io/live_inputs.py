@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of live forces and grounds, and pulses of a drive, in messages and in bags."""
+"""Samples of live forces and grounds, and the pulse that is the epoch, in messages and in bags."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -15,7 +15,7 @@ from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, connected
 from impact_observer.plain_text import part_left_out
 
-LIVE_TOPICS = (interfaces.FORCING, interfaces.GROUND_MOTION, interfaces.PHASE_REFERENCE)
+LIVE_TOPICS = (interfaces.FORCING, interfaces.GROUND_MOTION)
 _DEPTH = 2000
 """Messages with efforts that may wait: those of 2 s at 1 kHz."""
 
@@ -74,14 +74,11 @@ def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage
     """
     moves = interface is interfaces.GROUND_MOTION
     try:
-        if interface is interfaces.PHASE_REFERENCE:
-            problems = [live.add_pulse(read_pulse(message))]
-        else:
-            problems = [
-                live.add_motion(*each) if moves else live.add_force(*each[:3])
-                for each in read_samples(message, moves=moves)
-                if interface in LIVE_TOPICS or each.name in live.inputs
-            ]
+        problems = [
+            live.add_motion(*each) if moves else live.add_force(*each[:3])
+            for each in read_samples(message, moves=moves)
+            if interface in LIVE_TOPICS or each.name in live.inputs
+        ]
     except MessageError as error:
         problems = [str(error)]
     yield from filter(None, problems)
@@ -96,8 +93,6 @@ def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
     for each in LIVE_TOPICS if live is not None else ():
         topic = reader.find(each)
         if topic is None or live is None:
-            continue
-        if each is interfaces.PHASE_REFERENCE and live.drive is None:
             continue
         lost = Counter[str]()
         for _, message in reader.messages(topic):

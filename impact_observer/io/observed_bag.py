@@ -93,7 +93,7 @@ def observe_bag(
         warn(line)
     for line in give_inputs(reader, observer):
         warn(line)
-    copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS)
+    copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS, interfaces.PHASE_REFERENCE)
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
     if measured is not None:
         topics += [topic for topic in measured.topics if topic not in topics]

@@ -2,7 +2,6 @@
 """Recordings: write a plant's run to a bag, and read the model and the events of a bag."""
 
 import heapq
-import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,7 +26,6 @@ from impact_observer.observer.sender_runs import in_order
 from impact_observer.output_files import temporary_beside
 from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
 from impact_observer.robots.robot import Robot
-from impact_observer.stamps import NS_PER_S, from_seconds
 
 PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
 """Topics that ``write_run`` writes, and ``observe_bag`` copies."""
@@ -60,14 +58,6 @@ def published_model(
     if true_parameters:
         provenance["true_parameters"] = dict(true_parameters)
     return model.text(provenance)
-
-
-def index_pulses(system: System | Robot, epoch: int, last: int) -> Iterator[int]:
-    """Stamps (ns) at which the drive of a system, if any, has turned at its nominal speed."""
-    if isinstance(system, System) and system.live is not None and system.live.nominal:
-        period = math.tau / system.live.nominal
-        turns = range(int((last - epoch) / NS_PER_S / period) + 1)
-        yield from (epoch + from_seconds(k * period) for k in turns)
 
 
 @contextmanager
@@ -122,8 +112,7 @@ def write_run(
 ) -> list[ImpactEvent]:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
 
-    The log time of an event is its time of reception; of a state, its stamp. Where forces turn
-    with a drive, its index pulses are written too.
+    The log time of an event is its time of reception; of a state, its stamp.
 
     Args:
         path: the bag to make.
@@ -173,16 +162,8 @@ def write_run(
             )
             for stamp, x in zip(run.stamps.tolist(), run.states, strict=True)
         )
-        pulses = [
-            (stamp, interfaces.PHASE_REFERENCE.topic, make.pulse(stamp))
-            for stamp in index_pulses(system, run.epoch, last)
-        ]
-        if pulses:
-            writer.declare(interfaces.PHASE_REFERENCE.topic)
         # At equal stamps the event is first: the state is the state after the event.
-        for stamp, topic, message in heapq.merge(
-            events, states, samples, pulses, key=itemgetter(0)
-        ):
+        for stamp, topic, message in heapq.merge(events, states, samples, key=itemgetter(0)):
             writer.write(topic, stamp, message)
             if progress is not None:
                 progress(stamp)

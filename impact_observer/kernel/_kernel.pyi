@@ -179,7 +179,6 @@ class SeriesFlow(PhaseFlow):
         push: Matrix,
         samples: SampledForces | None,
         rate: float,
-        orders: Vector,
     ) -> None: ...
 
 class Guards:

@@ -131,8 +131,8 @@ void splice(SampledForces& samples, std::size_t first, const Array& time, const 
 std::shared_ptr<SeriesFlow> make_series(const CoordinateArrays& frame, const Array& J,
                                         const HarmonicArrays& waves, const Array& load,
                                         const Array& push,
-                                        const std::shared_ptr<SampledForces>& samples, double rate,
-                                        const Array& orders) {
+                                        const std::shared_ptr<SampledForces>& samples,
+                                        double rate) {
     const Harmonics harmonics = harmonics_of(waves);
     auto flow = std::make_shared<SeriesFlow>(coordinates_of(frame), harmonics);
     const std::size_t size = flow->coordinates.size, h = harmonics.size();
@@ -143,11 +143,6 @@ std::shared_ptr<SeriesFlow> make_series(const CoordinateArrays& frame, const Arr
     flow->load = checked(load, "load", size, 1 + 2 * h);
     flow->push = checked(push, "push", size, samples ? samples->forces() : 0);
     flow->samples = samples, flow->rate = rate;
-    const Vector turning = checked(orders, "orders", h);
-    if (std::count(turning.begin(), turning.end(), 0.0) < std::ptrdiff_t(h)) {
-        expect(flow->forces() > 0, "orders: there are no samples of a phase");
-        flow->orders = turning;
-    }
     return flow;
 }
 
@@ -336,7 +331,7 @@ PYBIND11_MODULE(_kernel, module) {
         .def("drop", &SampledForces::drop, "first"_a);
     py::class_<SeriesFlow, PhaseFlow, std::shared_ptr<SeriesFlow>>(module, "SeriesFlow")
         .def(py::init(&make_series), "coordinates"_a, "J"_a, "waves"_a, "load"_a, "push"_a,
-             "samples"_a, "rate"_a, "orders"_a);
+             "samples"_a, "rate"_a);
     py::class_<Guards, std::shared_ptr<Guards>>(module, "Guards")
         .def("known", &known, motion, "s"_a, "stop"_a)
         .def("values", &values, motion, "s"_a, Released());

@@ -70,8 +70,6 @@ struct SeriesFlow : PhaseFlow {
     Matrix load, push;  // size x (1 + 2h), size x forces
     std::shared_ptr<const SampledForces> samples;  // or none
     double rate;                                   // also of the harmonics, 1/s
-    Vector orders;  // of harmonics that turn with a drive, whose phase is the last of the samples;
-                    // 0 for others, none where nothing turns
 
     using PhaseFlow::PhaseFlow;
     std::shared_ptr<PhaseMotion> start(const Elapsed& t, const double* x) const override;
@@ -215,13 +213,6 @@ class Walk {
         flow->harmonics.waves(angles, begin, waves.row(0).data);
         if (flow->samples) push(s);
         const std::size_t h = flow->harmonics.size();
-        for (std::size_t j = 0; j < flow->orders.size(); ++j) {
-            const double order = flow->orders[j], *phase = &force(0, force.columns - 1);
-            if (order == 0) continue;
-            waves(0, 1 + j) = std::cos(order * *phase);
-            waves(0, 1 + h + j) = std::sin(order * *phase);
-            frequency[j] = order * phase[force.columns];
-        }
         for (std::size_t k = 0; k + 1 < terms; ++k)
             for (std::size_t j = 0; j < h; ++j) {
                 waves(k + 1, 1 + j) = -frequency[j] * waves(k, 1 + h + j);

@@ -163,12 +163,6 @@ def _named(plain: PlainDocument, system: System) -> Iterator[tuple[ParameterPlac
         beside: Any = plain.document
         for part in path[:-1]:
             beside = beside[part]
-        if path[-1] == "frequency" and beside.get("order"):
-            raise ModelError(
-                key,
-                "has a deviation beside an order; expected a plain number: pulses of the drive"
-                " tell the frequency",
-            )
         if not beside[path[-1]] and path[-1] in _NOTHING_AT_ZERO:
             raise ModelError(
                 key,

@@ -16,10 +16,8 @@ from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.ground_keys import (
     GroundMotions,
-    Turning,
     live_names,
     read_grounds,
-    read_turning,
 )
 from impact_observer.model.grounds import LiveNames
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
@@ -179,8 +177,8 @@ def _forcing(
     line: _Line, document: Section, folder: Path | None
 ) -> tuple[Forcing, LiveNames | None]:
     """``f(t)``, and the names of live forces and grounds; None where the model has none."""
-    forcing, inputs, turning = _sum(line, document.items("forces"))
-    live = live_names(inputs, line.motions.live, line.n, turning)
+    forcing, inputs = _sum(line, document.items("forces"))
+    live = live_names(inputs, line.motions.live, line.n)
     if "forcing" not in document:
         return forcing, live
     section = Section("forcing", document.value("forcing"), sampled_files.KEYS)
@@ -188,14 +186,12 @@ def _forcing(
     return replace(forcing, sampled=sampled_files.read_samples(section, line.names, folder)), live
 
 
-def _sum(
-    line: _Line, forces: list[tuple[str, Value]]
-) -> tuple[Forcing, list[tuple[str, Vector]], list[Turning]]:
-    """The sum of known forces, names and directions of live forces, and harmonics of the drive."""
+def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tuple[str, Vector]]]:
+    """The sum of known forces, and names and directions of live forces."""
     constant = np.zeros(line.n)
-    turning, cosine, sine, inputs = list[Turning](), [], [], list[tuple[str, Vector]]()
+    frequency, cosine, sine, inputs = list[float](), [], [], list[tuple[str, Vector]]()
     for key, value in forces:
-        kinds = ("constant", "amplitude", "frequency", "phase", "order", "input")
+        kinds = ("constant", "amplitude", "frequency", "phase", "input")
         force = Section(key, value, ("body", *kinds))
         e = line.body(force)
         if "input" in force:
@@ -215,18 +211,17 @@ def _sum(
             constant += force.number("constant") * e
             continue
         amplitude, phase = force.number("amplitude"), force.number("phase", 0.0)
-        force.positive("frequency")
-        turning.append(read_turning(force))
+        frequency.append(force.positive("frequency"))
         cosine.append(amplitude * np.cos(phase) * e)
         sine.append(-amplitude * np.sin(phase) * e)
-    h = len(turning)
+    h = len(frequency)
     forcing = Forcing(
         constant,
-        np.array([each.frequency for each in turning]),
+        np.array(frequency),
         np.reshape(cosine, (h, line.n)),
         np.reshape(sine, (h, line.n)),
     )
-    return forcing, inputs, turning
+    return forcing, inputs
 
 
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:

@@ -127,19 +127,6 @@ class Samples:
         assert self.jets is not None, "derived"
         return shifted(self.jets[:, j], np.asarray(t - self.time[j]))
 
-    def turned(self, t: Vector, rate: Vector, angle: Matrix) -> tuple[Matrix, Matrix]:
-        """``rate`` and ``angle`` of harmonics at ``t``, s since the epoch, (samples, h) each.
-
-        The arguments hold for constant frequencies. ``LiveSamples`` replaces the values of
-        harmonics that turn with a drive.
-        """
-        del t
-        return rate, angle
-
-    def fastest(self, frequency: Vector) -> Vector:
-        """The largest angular frequencies of harmonics of nominal ``frequency``, (h,), rad/s."""
-        return frequency
-
     def check(self, t: Vector | float) -> None:
         """Check that no ``t``, s since the epoch, is before the first sample.
 

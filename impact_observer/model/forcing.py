@@ -49,11 +49,6 @@ class Forcing:
         return self.sampled is not None or bool(np.any(self.cosine) or np.any(self.sine))
 
     @property
-    def fastest(self) -> Vector:
-        """The largest angular frequency that each harmonic has at any time, (h,), rad/s."""
-        return self.frequency if self.sampled is None else self.sampled.fastest(self.frequency)
-
-    @property
     def end(self) -> float:
         """Instant of the last sample, s since the epoch; infinity without samples."""
         return np.inf if self.sampled is None else self.sampled.end
@@ -92,8 +87,6 @@ class Forcing:
         jets[0] = self.constant
         if self.frequency.size:
             rate, angle = self.frequency, t[:, None] * self.frequency
-            if self.sampled is not None:
-                rate, angle = self.sampled.turned(t, rate, angle)
             cosine, sine = np.cos(angle), np.sin(angle)
             for k in range(order + 1):
                 jets[k] += cosine @ self.cosine + sine @ self.sine
@@ -113,7 +106,7 @@ class Forcing:
         constant = _norms(self.constant, X)
         amplitudes = _norms(self.cosine, X) + _norms(self.sine, X)
         sampled = None if self.sampled is None else _bound_of_samples(self.sampled, X)
-        rates = self.fastest
+        rates = self.frequency
 
         def bounded(k: int, t: Vector) -> Vector:
             size = float(amplitudes @ rates**k)

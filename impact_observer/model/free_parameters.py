@@ -6,12 +6,10 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.errors import UsageError
 from impact_observer.model.elements import Element
-from impact_observer.model.live_samples import LiveSamples
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.rebounds import REBOUND_UNITS
 from impact_observer.model.system import System, unit_of
@@ -204,14 +202,13 @@ def _of_forcing(system: System) -> Iterator[ModelParameter]:
         system.coordinates, system.forcing.constant.tolist(), np.eye(system.n), strict=True
     ):
         yield parameter(f"constant-force.{name}", value, _FREE, force, constant=one)
-    frequencies, turning = system.forcing.frequency.tolist(), _turning(system)
-    for k, (label, one) in enumerate(zip(_harmonics(system), np.eye(turning.size), strict=True)):
+    frequencies = system.forcing.frequency.tolist()
+    ones = np.eye(len(frequencies))
+    for label, one, omega in zip(_harmonics(system), ones, frequencies, strict=True):
         kind, _, number = label.partition(".")
         yield parameter(f"{kind}-amplitude.{number}", 1.0, _RATIO, 1.0, amplitude=one)
         yield parameter(f"{kind}-phase.{number}", 0.0, _FREE, np.pi, phase=one)
-        if turning[k]:
-            continue
-        own, omega = f"{kind}-frequency.{number}", frequencies[k]
+        own = f"{kind}-frequency.{number}"
         bounds = omega * _RATIO[0], omega * _RATIO[1]
         yield parameter(own, omega, bounds, _WRONG_FREQUENCY * omega, frequency=one)
 
@@ -271,16 +268,6 @@ def usual_force(system: System) -> float:
     at_stops = system.K @ (W * system.q_r / np.sum(W**2, axis=0))
     sizes = np.concatenate([np.abs(forcing.constant), swing, np.abs(at_stops).ravel()])
     return float(np.max(sizes)) or 1.0
-
-
-def _turning(system: System) -> NDArray[np.bool_]:
-    """Whether each harmonic turns with a drive, whose pulses tell its frequency, shape (h,)."""
-    sampled, turning = system.forcing.sampled, np.zeros(system.forcing.frequency.size, dtype=bool)
-    if isinstance(sampled, LiveSamples):
-        return np.asarray(sampled.orders > 0)
-    if system.live is not None:
-        turning[: len(system.live.orders)] = np.array(system.live.orders) > 0
-    return turning
 
 
 def _harmonics(system: System) -> Iterator[str]:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 GONE = {
     "friction": "dry friction of guides",
+    "forces.order": "the drive whose index pulses tell a force's phase",
+    "forcing.harmonics.order": "the drive whose index pulses tell a force's phase",
     **{
         f"{contacts}.{key}": purpose
         for contacts in ("stops", "contacts")

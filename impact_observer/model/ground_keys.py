@@ -4,7 +4,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import scipy
@@ -19,24 +19,8 @@ from impact_observer.states import Matrix, Vector
 
 KINDS = ("harmonics", "sampled", "live")
 _DISPLACEMENT = "displacement"
-_SAME = 1e-9
-"""Largest difference of two frequencies that counts as rounding, relative to the frequency."""
 Harmonic: TypeAlias = tuple[int, float, float, float]
 """Ground, amplitude (m), frequency (rad/s) and phase (rad)."""
-
-
-class Turning(NamedTuple):
-    """Whether a harmonic turns with the drive.
-
-    Attributes:
-        key: key of the harmonic in the model file.
-        order: periods in a revolution of the drive; 0 for a harmonic of constant frequency.
-        frequency: of the harmonic, rad/s; the nominal one for a harmonic of the drive.
-    """
-
-    key: str
-    order: int
-    frequency: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,46 +123,12 @@ def live_names(
     inputs: Sequence[tuple[str, Vector]],
     grounds: tuple[str, ...],
     n: int,
-    turning: Sequence[Turning] = (),
 ) -> LiveNames | None:
-    """The live signals of a model, None without any; directions of equal input names add up.
-
-    Raises:
-        ModelError: harmonics turn with drives of different nominal frequencies.
-    """
+    """The live signals of a model, None without any; directions of equal input names add up."""
     names = tuple(dict.fromkeys(name for name, _ in inputs))
-    orders = tuple(each.order for each in turning)
-    if not (names or grounds or any(orders)):
+    if not (names or grounds):
         return None
     directions = np.zeros((n, len(names)))
     for name, direction in inputs:
         directions[:, names.index(name)] += direction
-    nominal = 0.0
-    for key, order, frequency in turning:
-        if order and nominal and abs(frequency / order - nominal) > _SAME * nominal:
-            raise ModelError(
-                f"{key}.frequency",
-                f"is {frequency:g}, that of a drive of {frequency / order:g} rad/s, but another"
-                f" harmonic turns with one of {nominal:g}; expected {order * nominal:g}, as there"
-                " is one drive",
-            )
-        nominal = nominal or (frequency / order if order else 0.0)
-    return LiveNames(names, directions, grounds, nominal, orders if nominal else ())
-
-
-def read_turning(harmonic: Section) -> Turning:
-    """How a harmonic, which has a ``frequency``, turns with the drive.
-
-    Raises:
-        ModelError: an order that is no whole number from 1 on, or no positive frequency.
-    """
-    if "order" not in harmonic:
-        return Turning(harmonic.place, 0, harmonic.number("frequency"))
-    order = harmonic.number("order")
-    if order < 1 or order != int(order):
-        raise ModelError(
-            harmonic.key("order"),
-            f"is {order:g}; expected a whole number from 1 on: how often it turns in a revolution"
-            " of the drive",
-        )
-    return Turning(harmonic.place, int(order), harmonic.positive("frequency"))
+    return LiveNames(names, directions, grounds)

@@ -41,16 +41,11 @@ class LiveNames:
         inputs: names of forces.
         directions: of the coordinates by unit forces, shape (n, inputs).
         grounds: names of grounds.
-        nominal: nominal angular frequency of the drive, rad/s; 0 without a drive.
-        orders: periods of each harmonic of the forces in a revolution of the drive; 0 for a
-            harmonic of constant frequency. Empty without a drive.
     """
 
     inputs: tuple[str, ...]
     directions: Matrix
     grounds: tuple[str, ...]
-    nominal: float = 0.0
-    orders: tuple[int, ...] = ()
 
 
 _UNSOLVED = 1e-9

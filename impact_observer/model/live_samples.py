@@ -6,9 +6,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.model.drive import OFF
 from impact_observer.model.force_samples import JETS, Samples
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 NEVER = -(1 << 62)
 """A stamp before all samples, ns."""
@@ -16,9 +15,9 @@ _NS = 1e-9
 _ROUNDING = 2.5e-10
 """Largest difference of two instants that counts as zero, s: a quarter of a stamp."""
 _Rows = NDArray[np.float64]
-Splice = Callable[[int, Vector, NDArray[np.float64], Matrix, float], None]
-"""Called when samples change, with: number of the first changed sample, instants, jets, phase and
-rate of the drive, and the instant until which samples are final, s."""
+Splice = Callable[[int, Vector, NDArray[np.float64], float], None]
+"""Called when samples change, with: number of the first changed sample, instants, jets, and the
+instant until which samples are final, s."""
 
 
 class _Tail:
@@ -53,33 +52,21 @@ class LiveSamples(Samples):
     Attributes:
         dropped: number of forgotten samples.
         newest: samples before this instant are final, s since the epoch.
-        orders: periods of each harmonic in a revolution of the drive, 0 for a harmonic of
-            constant frequency, shape (h,).
-        turns: phase (rad) and rate (rad/s) of the drive at each of the samples, shape (2, k).
     """
 
     dropped: int
     newest: float
-    orders: NDArray[np.int64]
-    turns: Matrix
     _drives: NDArray[np.bool_]
     _followers: list[tuple[Splice, Callable[[int], None]]]
-    _tails: tuple[_Tail, _Tail, _Tail]
+    _tails: tuple[_Tail, _Tail]
 
-    def __init__(
-        self,
-        base: Samples | None,
-        drives: NDArray[np.bool_],
-        newest: float,
-        orders: NDArray[np.int64],
-    ) -> None:
+    def __init__(self, base: Samples | None, drives: NDArray[np.bool_], newest: float) -> None:
         """Begin with the samples of ``base``, or with zero forces.
 
         Args:
             base: known samples; None without any.
             drives: which coordinates live signals drive, shape (n,).
             newest: as the attribute.
-            orders: as the attribute.
         """
         n = drives.size
         time, jets = np.array([NEVER * _NS, 0.0]), np.zeros((JETS, 2, n))
@@ -91,10 +78,8 @@ class LiveSamples(Samples):
             "_drives": used,
             "dropped": 0,
             "newest": newest,
-            "orders": orders,
-            "turns": np.zeros((2, time.size)),
             "_followers": [],
-            "_tails": (_Tail(time), _Tail(jets.swapaxes(0, 1)), _Tail(np.zeros((time.size, 2)))),
+            "_tails": (_Tail(time), _Tail(jets.swapaxes(0, 1))),
             "jumps": True,
             "rounding": _ROUNDING,
         }.items():
@@ -114,33 +99,14 @@ class LiveSamples(Samples):
         """Call ``splice`` at changes, and ``drop`` with the number of the first kept sample."""
         self._followers.append((splice, drop))
 
-    def turned(self, t: Vector, rate: Vector, angle: Matrix) -> tuple[Matrix, Matrix]:
-        """``rate`` and ``angle`` of harmonics; harmonics of the drive get those of the drive."""
-        if not self.orders.any():
-            return rate, angle
-        j, turning = self._index(t, self.rounding), self.orders > 0
-        speed = self.turns[1, j]
-        phase = self.turns[0, j] + speed * (t - self.time[j])
-        return (
-            np.where(turning, np.outer(speed, self.orders), rate),
-            np.where(turning, np.outer(phase, self.orders), angle),
-        )
-
-    def fastest(self, frequency: Vector) -> Vector:
-        """The largest angular frequencies; those of a drive can exceed the nominal ones, rad/s."""
-        return np.where(self.orders > 0, frequency / (1 - OFF), frequency)
-
-    def change(
-        self, first: int, time: Vector, jets: NDArray[np.float64], turns: Matrix, newest: float
-    ) -> None:
+    def change(self, first: int, time: Vector, jets: NDArray[np.float64], newest: float) -> None:
         """Replace the samples from number ``first`` on; forgotten samples count."""
-        rows = time, jets.swapaxes(0, 1), turns.T
-        for tail, each in zip(self._tails, rows, strict=True):
+        for tail, each in zip(self._tails, (time, jets.swapaxes(0, 1)), strict=True):
             tail.change(first - self.dropped, each)
         self._use_tails()
         object.__setattr__(self, "newest", newest)
         for splice, _ in self._followers:
-            splice(first, time, jets, turns, newest)
+            splice(first, time, jets, newest)
 
     def forget(self, first: int) -> None:
         """Forget the samples before number ``first``."""
@@ -153,8 +119,7 @@ class LiveSamples(Samples):
 
     def _use_tails(self) -> None:
         """Set what is derived."""
-        time, jets, turns = (tail.rows for tail in self._tails)
+        time, jets = (tail.rows for tail in self._tails)
         jets = jets.swapaxes(0, 1)
-        changed = {"time": time, "jets": jets, "force": jets[0], "turns": turns.T}
-        for name, value in changed.items():
+        for name, value in {"time": time, "jets": jets, "force": jets[0]}.items():
             object.__setattr__(self, name, value)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces, grounds and a drive that are known by samples that arrive live, in any order.
+"""Forces and grounds that are known by samples that arrive live, in any order.
 
 A force is constant from each sample to the next. A ground moves by cubic Hermite polynomials from
 sample to sample. Before the first sample the ground rests at the position of the first sample, and
-after the last sample the ground keeps the last speed. A drive turns by its pulses (``drive.py``).
+after the last sample the ground keeps the last speed.
 All signals are functions of the samples alone, not of the order or time of their arrival.
 """
 
@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 
 from impact_observer.errors import UsageError
 from impact_observer.model.document import LARGEST
-from impact_observer.model.drive import Drive
 from impact_observer.model.force_samples import JETS, shifted
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.live_samples import NEVER, LiveSamples
 from impact_observer.model.system import System
-from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector
 
 _NS = 1e-9
@@ -31,9 +29,6 @@ _FEW = 8
 """Stamps up to which values are looked up one by one."""
 _OFTEN = 1000
 """Number of samples that are forgotten together."""
-
-PHASE_REFERENCE = "phase_reference"
-"""Name of the pulses of a drive in messages and errors."""
 
 
 @dataclass(slots=True)
@@ -95,7 +90,6 @@ class LiveSignals:
     Attributes:
         inputs: names of the live forces.
         grounds: names of the live grounds.
-        drive: the drive whose pulses arrive; None without a drive.
         samples: the forces by all live signals, and the known samples of forces.
         late: number of samples that came too late to be used.
     """
@@ -125,47 +119,33 @@ class LiveSignals:
         ]
         self._base = system.forcing.sampled
         self._causal = causal
-        self.drive = Drive(live.nominal) if live.nominal else None
-        orders = np.zeros(system.forcing.frequency.size, dtype=np.int64)
-        orders[: len(live.orders)] = live.orders
-        self.samples = LiveSamples(self._base, drives, -np.inf if causal else np.inf, orders)
+        self.samples = LiveSamples(self._base, drives, -np.inf if causal else np.inf)
         self._newest = [0] * len(self._signals)
         self.late = 0
         self._pending: list[_Received] = []
-        self._pulses: list[int] = []
-        self._turned: int | None = None
         self._epoch: int | None = None
         self._knots: list[int] = []
         self._least = NEVER
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of inputs, then of grounds, then of the pulses, in the order of ``newest``."""
-        pulses = (PHASE_REFERENCE,) if self.drive else ()
-        return (*(each.name for each in self._signals), *pulses)
+        """Names of inputs, then of grounds, in the order of ``newest``."""
+        return tuple(each.name for each in self._signals)
 
     @property
     def newest(self) -> list[int]:
         """Stamp of the latest used sample of each signal in ``names``, ns; 0 before the first."""
-        return [*self._newest, *([self.drive.newest] if self.drive else [])]
+        return [*self._newest]
 
     @property
     def known_until(self) -> int:
         """The stamp up to which all signals are known, ns; 0 until each signal has a sample."""
         return min(self.newest)
 
-    @property
-    def turned_from(self) -> int:
-        """First stamp at which pulses since the last ``follow`` have changed the phase, ns."""
-        return MAX_STAMP if self._turned is None else self._turned
-
     def keep_waiting(self, most: int) -> None:
         """Forget the oldest samples if more than ``most`` samples wait for ``follow``."""
         if len(self._pending) > most:
             del self._pending[: -most // 2]
-        if self.drive is not None and len(self.drive.pulses) > most:
-            self.drive.forget_before(self.drive.pulses[-most // 2])
-            self._pulses = [each for each in self._pulses if each >= self.drive.pulses[0]]
 
     def add_force(self, name: str, stamp: int, value: float) -> str:
         """Take a sample of the live force ``name`` at ``stamp``, ns; the ``value`` is in N.
@@ -178,19 +158,6 @@ class LiveSignals:
     def add_motion(self, name: str, stamp: int, position: float, velocity: float) -> str:
         """Take a sample of a ground, in m and m/s; stamp and return value as ``add_force``."""
         return self._add((name, True), stamp, position, velocity)
-
-    def add_pulse(self, stamp: int) -> str:
-        """Take a pulse of the drive at ``stamp``, ns; the return value as ``add_force``."""
-        if self.drive is None:
-            return f"{PHASE_REFERENCE!r}: nothing of this model turns with a drive"
-        if stamp <= (self.drive.newest if self._causal else self._least):
-            self.late += 1
-            return f"{PHASE_REFERENCE!r}: its stamp is not after that of the pulse before"
-        changed, problem = self.drive.add_pulse(stamp)
-        if changed is not None:
-            self._pulses.append(stamp)
-            self._turned = changed if self._turned is None else min(changed, self._turned)
-        return f"{PHASE_REFERENCE!r}: {problem}" if problem else ""
 
     def _add(self, key: tuple[str, bool], stamp: int, value: float, rate: float) -> str:
         k = self._index.get(key)
@@ -212,9 +179,6 @@ class LiveSignals:
             each.stamps, each.values, each.rates = [], [], []
         self._newest = [0] * len(self._signals)
         self._pending.clear()
-        self._pulses.clear()
-        if self.drive is not None:
-            self.drive.clear()
         self._epoch, self._least = None, NEVER
 
     def follow(self, epoch: int) -> int | None:
@@ -232,12 +196,8 @@ class LiveSignals:
             altered = self._inserted(each)
             if altered is not None:
                 changed = altered if changed is None else min(changed, altered)
-        stamps = [*(each.stamp for each in pending), *self._pulses]
-        self._pulses.clear()
-        if (turned := self._turned) is not None:
-            changed, self._turned = turned if changed is None else min(changed, turned), None
         if changed is not None:
-            self._rebuild(epoch, changed, stamps)
+            self._rebuild(epoch, changed, [each.stamp for each in pending])
         return changed
 
     def _inserted(self, sample: _Received) -> int | None:
@@ -266,17 +226,14 @@ class LiveSignals:
             self._knots[start:] = tail
         at, first = np.array(self._knots[start:], dtype=np.int64), self.samples.dropped + start
         time: Vector = np.asarray((at - epoch) * _NS)
-        turns = np.zeros((2, at.size)) if self.drive is None else self.drive.jets(at, epoch)
-        self.samples.change(first, time, self._forces(at, epoch), turns, self._final())
+        self.samples.change(first, time, self._forces(at, epoch), self._final())
 
     def _all_knots(self, epoch: int) -> list[int]:
-        """Stamps of all samples, pulses and the epoch, ns, ascending."""
+        """Stamps of all samples and the epoch, ns, ascending."""
         own, first = {stamp for each in self._signals for stamp in each.stamps}, NEVER
         if self._base is not None:
             first, *others = [epoch + round(t / _NS) for t in self._base.time.tolist()]
             own |= set(others)
-        if self.drive is not None:
-            own |= {epoch, *self.drive.pulses}
         return [first, *sorted(stamp for stamp in own if stamp > first)]
 
     def _final(self) -> float:
@@ -320,8 +277,6 @@ class LiveSignals:
         for each in self._signals:
             gone = max(bisect_right(each.stamps, self._least) - 1, 0)
             del each.stamps[:gone], each.values[:gone], each.rates[:gone]
-        if self.drive is not None:
-            self.drive.forget_before(self._least)
 
 
 def _responses(system: System) -> NDArray[np.float64]:
@@ -350,10 +305,7 @@ def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSign
 
 
 def refused(system: System, what: str) -> None:
-    """Raise UsageError where a ``system`` has live forces or grounds, which ``what`` cannot use.
-
-    A drive is no reason: ``what`` uses the nominal frequency of the drive.
-    """
+    """Raise UsageError where a ``system`` has live forces or grounds; ``what`` cannot use them."""
     if system.live is not None and (names := (*system.live.inputs, *system.live.grounds)):
         raise UsageError(
             f"{system.name}: known only live: {', '.join(names)}, which {what} cannot use;"

@@ -25,10 +25,8 @@ from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.gone_keys import without_gone
 from impact_observer.model.ground_keys import (
     GroundMotions,
-    Turning,
     live_names,
     read_grounds,
-    read_turning,
 )
 from impact_observer.model.hertz import HERTZ, convert
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
@@ -263,13 +261,9 @@ def _forcing_of(system: System) -> Value:
     forcing = system.own_forcing
     names = ("frequency", "cosine", "sine")
     harmonics = zip(*(getattr(forcing, name).tolist() for name in names), strict=True)
-    orders = (system.live.orders if system.live else ()) or (0,) * forcing.frequency.size
     document: dict[str, Value] = {
         "constant": forcing.constant.tolist(),
-        "harmonics": [
-            {**dict(zip(names, each, strict=True)), **({"order": order} if order else {})}
-            for each, order in zip(harmonics, orders, strict=True)
-        ],
+        "harmonics": [dict(zip(names, each, strict=True)) for each in harmonics],
         **_sampled_of(system),
     }
     if system.frame is not None:
@@ -547,7 +541,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     motions = read_grounds(section, (), folder)
     keys = ("name", "direction", "gap", *REBOUND_KEYS, "motion")
     contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
-    forcing, pushed, inputs, turning = _forcing(section, names, motions, folder)
+    forcing, pushed, inputs = _forcing(section, names, motions, folder)
     system = System(
         name=name,
         coordinates=names,
@@ -561,27 +555,26 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     if motions.names:
         moving = np.reshape(factors, (-1, len(motions.names)))
         system = moving_system(system, motions.grounds(*pushed, moving))
-    return replace(system, live=live_names(inputs, motions.live, n, turning))
+    return replace(system, live=live_names(inputs, motions.live, n))
 
 
 def _forcing(
     section: Section, coordinates: Sequence[str], motions: GroundMotions, folder: Path | None
-) -> tuple[Forcing, tuple[Matrix, Matrix], list[tuple[str, Vector]], list[Turning]]:
-    """``f(t)``, forces by grounds, live forces and harmonics of the drive.
+) -> tuple[Forcing, tuple[Matrix, Matrix], list[tuple[str, Vector]]]:
+    """``f(t)``, forces by grounds, and live forces.
 
     The forces by unit displacements and by unit speeds of grounds have shape (n, k) each. A live
     force is a name and a direction, shape (n,).
     """
     n, pushed = len(coordinates), np.zeros((2, len(motions.names), len(coordinates)))
     if "forcing" not in section:
-        return Forcing.none(n), (pushed[0].T, pushed[1].T), [], []
+        return Forcing.none(n), (pushed[0].T, pushed[1].T), []
     keys = ("constant", "harmonics", *sampled_files.KEYS, "grounds", "inputs")
     forcing = Section("forcing", section.value("forcing"), keys)
     harmonics = [
         Section(key, value, ("frequency", "cosine", "sine", "order"))
         for key, value in forcing.items("harmonics")
     ]
-    turning = [read_turning(harmonic) for harmonic in harmonics]
 
     def part(name: str) -> Matrix:
         rows = [harmonic.vector(name, n, optional=True) for harmonic in harmonics]
@@ -594,14 +587,14 @@ def _forcing(
             each[which] += ground.vector(kind, n, optional=True)
     own = Forcing(
         constant=forcing.vector("constant", n, optional=True),
-        frequency=np.array([each.frequency for each in turning]),
+        frequency=np.array([each.number("frequency") for each in harmonics]),
         cosine=part("cosine"),
         sine=part("sine"),
         sampled=sampled_files.read_samples(forcing, coordinates, folder),
     )
     items = [Section(*item, ("name", "direction")) for item in forcing.items("inputs")]
     inputs = [(each.text("name"), each.vector("direction", n)) for each in items]
-    return own, (pushed[0].T, pushed[1].T), inputs, turning
+    return own, (pushed[0].T, pushed[1].T), inputs
 
 
 def _known(section: Section, key: str, motions: GroundMotions) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of a node to live forces, efforts and grounds of its model, and to a drive."""
+"""Subscriptions of a node to live forces, efforts and grounds of its model, and to its epoch."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -65,7 +65,7 @@ class LiveIntake:
         for interface, is_needed in (
             (efforts or interfaces.FORCING, live is not None and live.inputs and subscribes),
             (interfaces.GROUND_MOTION, live is not None and live.grounds),
-            (interfaces.PHASE_REFERENCE, on_pulse or (live is not None and live.drive)),
+            (interfaces.PHASE_REFERENCE, on_pulse),
         ):
             if is_needed:
                 take = partial(self.take_messages, interface)
@@ -151,10 +151,10 @@ class LiveIntake:
             except MessageError as error:
                 self._refuse(interface, [str(error)])
                 return MAX_STAMP
-        if self._live is None or (is_pulse and self._live.drive is None):
+        if self._live is None or is_pulse:
             return MAX_STAMP
         self._refuse(interface, give(self._live, interface, message))
-        return self._live.turned_from if is_pulse else stamp
+        return stamp
 
     def _refuse(self, interface: Interface, problems: Iterable[str]) -> None:
         """Count and report samples that cannot be used."""

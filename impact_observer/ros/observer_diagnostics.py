@@ -137,7 +137,6 @@ class ObserverDiagnostics:
             "samples": self.inputs.counts["samples"],
             "invalid samples": self.inputs.counts["invalid samples"],
             "samples too late": 0 if live is None else live.late,
-            "periods of the drive not used": self._odd_periods,
         }
 
     def _obstacle(self, last: Estimate | None) -> dict[str, object]:
@@ -149,12 +148,6 @@ class ObserverDiagnostics:
         except ImpactObserverError:  # the history begins later by now, or there is no motion
             return {}
         return {interfaces.NOT_SYNCHRONIZED: why} if why else {}
-
-    @property
-    def _odd_periods(self) -> int:
-        """Number of periods of the drive that were too long or too short."""
-        live = self._observer.live
-        return 0 if live is None or live.drive is None else live.drive.odd
 
     def _health(self, now: int, last: Estimate | None) -> tuple[bytes, str]:
         """Level and message of the worst fault."""
@@ -209,7 +202,6 @@ class ObserverDiagnostics:
             "events were dropped, as too many came": self.counts["overflow"],
             "events waited for too long": self.counts["waited"],
             "events had a large innovation": large,
-            "periods of the drive were off and are not used": self._odd_periods,
         }
         new = [f"{n} {what}" for what, n in faults.items() if n > self._reported[what]]
         self._reported = Counter(faults)

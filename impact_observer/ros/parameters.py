@@ -75,11 +75,6 @@ PLANT = (
     ),
     Option("step", DEFAULT_STEP, "time step of the integrator moreau", "s", low=1e-9, high=1.0),
     Option("publish_clock", False, "publish /clock, the source of simulated time"),
-    Option(
-        "publish_pulses",
-        False,
-        "publish the index pulses of a drive at nominal speed, and receive no pulses",
-    ),
     Option("clock_rate", 100.0, "rate of /clock in simulated time", "Hz", low=0.1, high=1e4),
     Option(
         "realtime_factor",

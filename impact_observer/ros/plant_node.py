@@ -25,7 +25,7 @@ from impact_observer.robots.robot import held_joints, simulated
 from impact_observer.ros import parameters
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.managed_node import ManagedNode
-from impact_observer.ros.plant_sensors import PlantPulses, PlantSensors
+from impact_observer.ros.plant_sensors import PlantSensors
 from impact_observer.ros.robot_urdf import with_urdf_of_topic
 from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
@@ -84,7 +84,9 @@ class PlantNode(ManagedNode):
         self._sensor = SensorModel(**faults)
         self._sensor.check(self._system)
         self._check_time_source()
-        self._pulses, self._live = self._signals(own=values.flag("publish_pulses"))
+        self._live: LiveSignals | None = None
+        if isinstance(self._system, System):
+            self._system, self._live = connected(self._system, causal=True)
         self._inputs = LiveIntake(
             self,
             self._live,
@@ -125,13 +127,6 @@ class PlantNode(ManagedNode):
         self.introduce(f"model {self._system.name}, {how}", waits)
         if line := held_joints(self._system):
             self.lines.info(line)
-
-    def _signals(self, *, own: bool) -> tuple[PlantPulses, LiveSignals | None]:
-        """The pulses of the plant's ``own`` drive, if wanted; otherwise its live signals."""
-        pulses, live = PlantPulses(self, self._system, wanted=own), None
-        if isinstance(self._system, System) and not own:
-            self._system, live = connected(self._system, causal=True)
-        return pulses, live
 
     def _check_time_source(self) -> None:
         """Refuse two owners of the time, or a pace that others could not follow."""
@@ -243,7 +238,6 @@ class PlantNode(ManagedNode):
         )
         self._epoch, self._closed = epoch, ()
         self._sensors.start(epoch)
-        self._pulses.start(epoch, self._end)
         self._started = time.monotonic_ns()  # last, as first calls take long
         self._next_sample = 0
         self._next_clock = epoch
@@ -314,7 +308,6 @@ class PlantNode(ManagedNode):
         assert self._plant is not None
         n, names = self._system.n, self._system.coordinates
         last = min(last, self._end)
-        self._pulses.publish(last)
         self._sensors.publish(last, self._state, self._closed)
         while (stamp := self._sample_stamp(self._next_sample)) <= last:
             x = self._state(stamp)
@@ -344,9 +337,8 @@ class PlantNode(ManagedNode):
             yield self._next_clock
         if now < self._end:
             yield self._sample_stamp(self._next_sample)
-            for each in (self._sensors, self._pulses):
-                if (due := each.next_stamp) is not None:
-                    yield due
+            if (due := self._sensors.next_stamp) is not None:
+                yield due
             switching = self._plant.next_switching(now + _LOOK_AHEAD)
             if switching is not None:
                 yield switching.instant.stamp

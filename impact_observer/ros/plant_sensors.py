@@ -1,68 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The samples of a running plant's sensors beside the impacts, and the pulses of its drive."""
+"""The samples of a running plant's sensors beside the impacts."""
 
 import heapq
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count
 
 import numpy as np
 
-from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
-from impact_observer.io.interfaces import PHASE_REFERENCE, SENSORS
+from impact_observer.io.interfaces import SENSORS
 from impact_observer.io.messages import AnyMessage
-from impact_observer.io.recordings import index_pulses
 from impact_observer.io.simulated_samples import SampleSimulation, Sampling, SimulatedMessage
 from impact_observer.model import System
-from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.robots.robot import Robot
 from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.states import Vector
-
-
-class PlantPulses:
-    """Index pulses of a plant's own drive, which turns at its nominal speed.
-
-    Attributes:
-        next_stamp: when the next pulse is due, ns; None for none.
-    """
-
-    def __init__(self, node: BaseNode, system: System | Robot, *, wanted: bool) -> None:
-        """Make a publisher of pulses if they are ``wanted``.
-
-        Raises:
-            UsageError: no force of the ``system`` turns with a drive, or another signal is live.
-        """
-        self._node, self._system = node, system
-        self.next_stamp: int | None = None
-        self._pulses: Iterator[int] = iter(())
-        self._publisher = None
-        if not wanted:
-            return
-        if isinstance(system, Robot) or system.live is None or not system.live.nominal:
-            raise UsageError(
-                f"parameter publish_pulses: nothing of {system.name} turns with a drive; expected"
-                " a model whose forces have an order, or false"
-            )
-        refused(system, "a plant with publish_pulses")
-        self._publisher = node.publisher(PHASE_REFERENCE)
-
-    def start(self, epoch: int, last: int) -> None:
-        """Begin at an ``epoch``, up to the stamp ``last``, ns."""
-        if self._publisher is not None:
-            self._pulses = index_pulses(self._system, epoch, last)
-            self.next_stamp = next(self._pulses, None)
-
-    def publish(self, last: int) -> None:
-        """Publish the pulses up to ``last``, ns."""
-        while self.next_stamp is not None and self.next_stamp <= last:
-            assert self._publisher is not None, "there are pulses"
-            self._node.publish(self._publisher, self._node.make.pulse, self.next_stamp)
-            self.next_stamp = next(self._pulses, None)
 
 
 class PlantSensors:

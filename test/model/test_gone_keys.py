@@ -20,6 +20,7 @@ FRICTION = "friction: [{name: guide, between: [ground, x1], force: 0.1}]\n"
 TABLE = "{speeds: [1, 3], values: [0.7, 0.5]}"
 CASES = {
     "friction": (TEXT + FRICTION, "dry friction"),
+    "forces[0].order": (TEXT.replace("frequency: 2.5", "order: 1, frequency: 2.5"), "the drive"),
     "stops[0].contact_time": (TEXT.replace("0.7}", "0.7, contact_time: 0.01}"), "the duration"),
     "stops[0].velocity_offset": (
         TEXT.replace("0.7}", "0.7, velocity_offset: 0.2}"),

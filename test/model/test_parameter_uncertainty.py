@@ -282,10 +282,6 @@ def test_a_deviation_of_what_is_no_parameter_is_one_line(old: str, new: str, lin
             "uncertainty.covariance[1][1]: a deviation of 2 found; expected at most 1: find the",
         ),
         (
-            ELEMENTS.replace("frequency: 2.5", "order: 1, frequency: {value: 2.5, deviation: 1}"),
-            "forces[0].frequency: has a deviation beside an order; expected a plain number",
-        ),
-        (
             ELEMENTS.replace(
                 "{body: a, constant: 1}",
                 "{body: a, constant: {value: 1, deviation: 0.1}},"

@@ -26,14 +26,6 @@ springs:
 forces: [{body: b, amplitude: 4, frequency: 2.5, phase: 0.2}, {body: a, constant: 1.5}]
 stops: [{name: stop, between: [table, b], gap: 0.1, restitution: 0.6}]
 """
-DRIVEN = """
-name: driven
-bodies: [{name: a, mass: 2}]
-forces:
-  - {body: a, amplitude: 4, frequency: 15, order: 1}
-  - {body: a, amplitude: 1, frequency: 7}
-stops: [{name: stop, body: a, limit: 0.1, side: above, restitution: 0.6}]
-"""
 FORCED = """
 name: forced
 bodies: [{name: a, mass: 2}, {name: b, mass: 1}]
@@ -102,10 +94,3 @@ def test_a_ground_of_another_frequency_is_that_of_another_model() -> None:
     np.testing.assert_allclose(
         made.from_frame(ns, np.zeros((2, 4))), wanted.from_frame(ns, np.zeros((2, 4))), rtol=1e-12
     )
-
-
-def test_a_frequency_that_pulses_tell_is_no_parameter() -> None:
-    """Of two harmonics one turns with the drive."""
-    system = parse_model(DRIVEN, "driven").system
-    assert parametric_family(system, ["forcing-frequency"]).names == ("forcing-frequency.2",)
-    assert parametric_family(system, ["forcing-phase"]).size == 2

@@ -46,7 +46,7 @@ def stamps(seconds: st.SearchStrategy[float], most: int) -> st.SearchStrategy[li
 
 @st.composite
 def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
-    """Harmonics, samples, live forces and a drive; stops on grounds that move.
+    """Harmonics, samples and live forces; stops on grounds that move.
 
     The restitution of a single contact depends on the speed.
     """
@@ -65,20 +65,13 @@ def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
     model = moving_system(
         model, Grounds(("shaken", "steered"), motion, (0,), stiffness, damping, factors)
     )
-    # The first harmonic of the forces, if there is one, turns with a drive.
-    own = model.forcing.frequency.size - 1
-    nominal = float(model.forcing.frequency[0]) if own else 0.0
-    orders = (1, *[0] * (own - 1)) if own else ()
     push = draw(vectors(n))[:, None]
-    live = LiveNames(("motor",), push, ("steered",), nominal, orders)
+    live = LiveNames(("motor",), push, ("steered",))
     found, signals = connected(replace(model, live=live))
     assert signals is not None
     for stamp in draw(stamps(times, 4)):
         signals.add_force("motor", stamp, draw(numbers()))
         signals.add_motion("steered", stamp, draw(numbers(-0.5, 0.5)), draw(numbers(-1.0, 1.0)))
-    if nominal:
-        for stamp in draw(stamps(times, 6)):
-            signals.add_pulse(stamp)
     signals.follow(EPOCH)
     return found
 

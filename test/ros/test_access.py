@@ -19,13 +19,11 @@ from impact_observer.ros.entry import NODES as CLASSES
 
 OPTIONAL = {"/clock"}
 """Published by a plant that owns the time, received by nodes in simulated time."""
-ON_REQUEST = {"/phase_reference"}
-"""Published by a plant that is asked for the pulses of its own drive."""
 LIVE_MODEL = """\
 name: live
 bodies: [{name: x, mass: 1}]
 grounds: [{name: table, motion: {live: true}}]
-forces: [{body: x, input: motor}, {body: x, amplitude: 1, order: 1, frequency: 9}]
+forces: [{body: x, input: motor}, {body: x, amplitude: 1, frequency: 9}]
 stops: [{name: plate, between: [table, x], gap: 1, restitution: 0.5}]
 initial_state: {position: [0], velocity: [0]}
 """
@@ -89,7 +87,7 @@ def test_a_policy_allows_what_its_node_does_and_nothing_else(
         spinner.until(lambda: wanted - OPTIONAL <= found("subscriber"))
         assert found("subscriber") - OPTIONAL == wanted - OPTIONAL
         published = found("publisher") - OPTIONAL
-        assert published == allowed(name, "topic", "publish") - OPTIONAL - ON_REQUEST
+        assert published == allowed(name, "topic", "publish") - OPTIONAL
         served = allowed(name, "service", "reply")
         unknown = {each.replace("~", f"/{name}") for each in OF_EVERY_NODE} - found("service")
         assert found("service") == served - unknown

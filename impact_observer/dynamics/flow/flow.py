@@ -76,7 +76,7 @@ class Flow:
         """
         self._system, self._frame, self.modes = system, frame, modes
         forcing = system.forcing
-        self._rate = max(modes.fastest, *forcing.fastest, 0.0)
+        self._rate = max(modes.fastest, *forcing.frequency, 0.0)
         harmonics = forcing.frequency, Angles(forcing.frequency).turns
         given = modes.coordinates(frame), harmonics
         load = self._load(np.vstack([forcing.constant, forcing.cosine, forcing.sine]).T)
@@ -85,11 +85,10 @@ class Flow:
         if self._modal is not None and not strides and forcing.sampled is None:
             self._kernel = self._modal
             return
-        self._forces = forces_of(forcing)
+        samples, self._active = forces_of(forcing)
         J = modes.J.reshape(len(load), modes.J.shape[-1])
-        push = self._load(self._forces.columns(np.eye(len(forcing.constant))))
-        sampled = self._forces.samples, self._rate, self._forces.orders
-        self._kernel = SeriesFlow(given[0], J, given[1], load, push, *sampled)
+        push = self._load(np.eye(len(forcing.constant))[:, self._active])
+        self._kernel = SeriesFlow(given[0], J, given[1], load, push, samples, self._rate)
 
     @property
     def is_in_closed_form(self) -> bool:
@@ -126,7 +125,7 @@ class Flow:
         rows = np.hstack([q.T, u.T])
         given = position, *self.modes.seen(rows, np.abs(rows) + pulled), waves
         strides = isinstance(self._kernel, SeriesFlow)
-        pushed = self._forces.columns(force) if strides else force[:, :0]
+        pushed = force[:, self._active] if strides else force[:, :0]
         return self._kernel.guards(*given, pushed)
 
     def transition(self, s: float) -> Matrix:
