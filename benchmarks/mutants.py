@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which of fifty changed operators, constants and comparisons the tests of a room find.
+
+Each mutant changes one place of the code, in a copy of the repository. The tests of its room run
+there until one fails. ``python -m benchmarks.mutants --from 20`` goes on with mutant 20.
+"""
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("dynamics", "filter", "observer", "smooth", "identify")
+COUNT, SEED = 50, 0
+SWAPS: dict[type[ast.AST], Any] = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+}
+
+
+class Mutant(NamedTuple):
+    """One change of the code.
+
+    Attributes:
+        room: whose tests run.
+        path: of the file, relative to the root.
+        place: number of the changed node among all nodes of the file.
+    """
+
+    room: str
+    path: Path
+    place: int
+
+
+def places(tree: ast.Module) -> Iterator[int]:
+    """Numbers of the nodes that :func:`changed` can change."""
+    for number, node in enumerate(ast.walk(tree)):
+        operator = getattr(node, "op", None) or next(iter(getattr(node, "ops", ())), None)
+        constant = isinstance(node, ast.Constant) and type(node.value) in {int, float}
+        if type(operator) in SWAPS or isinstance(operator, ast.Not) or constant:
+            yield number
+
+
+def changed(source: str, place: int) -> tuple[str, str]:
+    """The source with a change, and the line and text of the node before and after."""
+    tree = ast.parse(source)
+    node = list(ast.walk(tree))[place]
+    before = ast.unparse(node)
+    if isinstance(node, ast.Constant):
+        node.value = node.value + 1 if type(node.value) is int else 1.5 * float(str(node.value))
+        node.value = node.value or 1.0
+    elif isinstance(node, ast.Compare):
+        node.ops[0] = SWAPS[type(node.ops[0])]()
+    elif isinstance(node, ast.UnaryOp):
+        node.operand = ast.UnaryOp(ast.Not(), node.operand)
+    elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign):
+        node.op = SWAPS[type(node.op)]()
+    text = ast.unparse(ast.fix_missing_locations(tree))
+    line = getattr(node, "lineno", 0)
+    return text, f"line {line}: {before}  ->  {ast.unparse(node)}"
+
+
+def mutants() -> list[Mutant]:
+    """The same number from each room, in an order that the seed gives."""
+    made = []
+    chance = random.Random(SEED)
+    for room in ROOMS:
+        files = sorted((ROOT / "impact_observer" / room).rglob("*.py"))
+        found = [
+            Mutant(room, file.relative_to(ROOT), place)
+            for file in files
+            for place in places(ast.parse(file.read_text(encoding="utf-8")))
+        ]
+        made += chance.sample(found, COUNT // len(ROOMS))
+    return made
+
+
+def survives(mutant: Mutant, source: str, copy: Path, limit: float, jobs: str) -> bool:
+    """Whether the tests of the room pass in time with the changed source."""
+    original = (copy / mutant.path).read_bytes()
+    (copy / mutant.path).write_text(source, encoding="utf-8")
+    options = ["-x", "-q", "-n", jobs, "-p", "no:cacheprovider", "-m", "not ros and not long"]
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", *options, f"test/{mutant.room}"],
+            cwd=copy,
+            env=os.environ | {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"},
+            capture_output=True,
+            timeout=limit,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    finally:
+        (copy / mutant.path).write_bytes(original)
+    return done.returncode == 0
+
+
+def main() -> None:
+    """Run the mutants that were asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", type=int, nargs="+", metavar="N", help="these mutants only")
+    parser.add_argument("--from", dest="first", type=int, default=0, metavar="N", help="first one")
+    parser.add_argument("--limit", type=float, default=600.0, metavar="S", help="time of each, s")
+    parser.add_argument("--jobs", default="2", metavar="N", help="processes of pytest")
+    asked = parser.parse_args()
+    chosen, alive = asked.only or range(asked.first, COUNT), []
+    found = mutants()
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder, "copy")
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".*", "__pycache__", "build"))
+        for number in chosen:
+            mutant = found[number]
+            source = (ROOT / mutant.path).read_text(encoding="utf-8")
+            text, what = changed(source, mutant.place)
+            survived = survives(mutant, text, copy, asked.limit, asked.jobs)
+            alive += [number] * survived
+            print(f"{number:2d} {'survived' if survived else 'killed  '} {mutant.path} {what}")
+            sys.stdout.flush()
+    print(f"{len(chosen) - len(alive)} of {len(chosen)} killed; survived: {alive}")
+
+
+if __name__ == "__main__":
+    main()
