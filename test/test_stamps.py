@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Times since the epoch that keep what a float rounds."""
 
-import copy
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -46,14 +44,6 @@ def test_elapsed_times_are_numbers_of_seconds() -> None:
     assert 2 * begin == 3.0
     assert (begin + np.array([0.0, 1.0])).tolist() == [1.5, 2.5]
     assert (begin - np.array([0.0, 1.0])).tolist() == [1.5, 0.5]
-
-
-def test_copies_of_elapsed_times_are_the_same() -> None:
-    """A pickle of a ``float`` is made again from its value, not from nanoseconds."""
-    one = Elapsed(DAY, 1e-13)
-    for other in (pickle.loads(pickle.dumps(one)), copy.copy(one), copy.deepcopy(one)):
-        assert other == one
-        assert float(other) == float(one)
 
 
 def test_elapsed_times_that_differ_by_less_than_a_float_shows_are_not_equal() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from systems import examples
 
 from impact_observer import errors, resources
-from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
+from impact_observer.events import Kind, Ruling
 from impact_observer.stamps import (
     MAX_STAMP,
     NS_PER_S,
@@ -20,7 +20,7 @@ from impact_observer.stamps import (
     seconds_between,
     text,
 )
-from impact_observer.states import Estimate, frozen
+from impact_observer.states import frozen
 
 STAMPS = st.integers(0, MAX_STAMP)
 
@@ -85,22 +85,6 @@ def test_kinds_and_rulings_have_the_numbers_of_the_messages() -> None:
     ]
 
 
-def test_events_are_values() -> None:
-    """Equal events are equal, can be put in a set and cannot be changed."""
-    one, two = (ImpactEvent(3, (Switch("stop"),), 1, 0, 2) for _ in range(2))
-    assert {one, two} == {one}
-    with pytest.raises(AttributeError):
-        one.stamp = 4  # type: ignore[misc]
-
-
-def test_defaults_mean_that_a_value_is_absent() -> None:
-    """Innovation and convergence are -1, which no real value can be."""
-    assert Verdict(1, Ruling.APPLIED).innovation == -1.0
-    estimate = Estimate(1, "geometric", frozen([0.0]), frozen([0.0]))
-    assert estimate.convergence == -1.0
-    assert estimate.covariance.shape == (0, 0)
-
-
 def test_frozen_is_a_read_only_copy_without_minus_zero() -> None:
     """Changes of the caller's array do not reach the copy."""
     mine = np.array([-0.0, 1.0])
@@ -136,11 +120,6 @@ def test_model_error_is_one_line_whatever_the_file_holds() -> None:
     error = errors.ModelError("a\nb", "is not known\nhere")
     assert str(error) == "a b: is not known here"
     assert error.key == "a\nb"
-
-
-def test_shared_file_is_found_in_the_source_tree() -> None:
-    """The sample models lie beside the package."""
-    assert resources.shared("config/two_mass.yaml").is_file()
 
 
 def test_shared_file_is_found_where_ament_installs(

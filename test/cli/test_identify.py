@@ -4,7 +4,6 @@
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -155,39 +154,6 @@ def test_too_few_impacts_are_named_and_say_nothing_of_the_clock(
 
 
 @pytest.mark.usefixtures("in_tmp_path")
-def test_samples_of_sensors_make_standard_errors_smaller(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The rig has an encoder for ten seconds; a missing topic is an error of one line."""
-    made = ["simulate", "two_mass", "--duration", "10", "--seed", "1", "--jitter", "0.001"]
-    assert main([*made, "--measurements", "encoder", "-o", "rig"]) == 0
-    words = ["identify", "rig", "--free", "restitution", "--clock-error", "0.001"]
-    words.append("--trust-events")
-    errors, results = list[float](), dict[str, Any]()
-    for more in ([], ["--measurements", "encoder"]):
-        capsys.readouterr()
-        assert main([*words, *more, "--json"]) == 0
-        results = json.loads(capsys.readouterr().out)
-        found = results["parameters"]["restitution.stop"]
-        assert abs(found["value"] - 0.7) < 4 * found["standard_error"]
-        errors.append(found["standard_error"])
-    assert errors[1] < errors[0] / 10
-    (sensor,) = results["sensors"]
-    assert sensor["rms"] == pytest.approx(sensor["deviation"], rel=0.2)
-    assert sensor["fits"]
-    assert main([*words, "--measurements", "encoder"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"{sensor['samples']} samples of encoder differ from the motion by" in said
-    other = Path("other.yaml")
-    text = "measurements: [{name: e, topic: /none, field: x, position: {x1: 1}, deviation: 1}]"
-    other.write_text(text, encoding="utf-8")
-    assert main([*words, "--measurements", str(other)]) == 2
-    error = capsys.readouterr().err
-    assert "other.yaml: measurements[0].topic: no /none in" in error
-    assert len(error.splitlines()) == 1
-
-
-@pytest.mark.usefixtures("in_tmp_path")
 def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixture[str]) -> None:
     """A missing epoch is wrong use, in the words of observe."""
     with BagReader(Path(bag(BAG))) as reader:
@@ -208,21 +174,6 @@ def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixtu
     assert "0.7" in capsys.readouterr().out
 
 
-@pytest.mark.long
-@pytest.mark.usefixtures("in_tmp_path")
-def test_a_value_at_its_bound_is_a_failed_job(capsys: pytest.CaptureFixture[str]) -> None:
-    """The bounces of a ball rise higher each time; no model is written."""
-    flights = 0.5 * 1.02 ** np.arange(12)
-    times = 1 + np.append(0.0, np.cumsum(flights))
-    Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
-    assert main(["import", "bounces.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
-    words = ["--free", "restitution", "--trust-events", "-o", "ball.yaml"]
-    assert main(["identify", "bag", *words]) == 1
-    said = " ".join(capsys.readouterr().out.split())
-    assert "restitution.floor ended at its bound" in said
-    assert not Path("ball.yaml").exists()
-
-
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_start_at_the_first_impact_is_on_its_stop(capsys: pytest.CaptureFixture[str]) -> None:
     """The first time of the table is 0."""
@@ -239,30 +190,6 @@ def test_a_start_at_the_first_impact_is_on_its_stop(capsys: pytest.CaptureFixtur
     assert main(["import", "bounces.csv", "--model", "bouncing_ball", *given]) == 0
     main(["identify", "later", *words[2:]])
     assert "repeat import" not in capsys.readouterr().out
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("in_tmp_path")
-def test_a_model_that_does_not_fit_is_named_above_values_without_standard_errors(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """No ball makes random instants, which say nothing of the restitution."""
-    flights = np.random.default_rng(1).uniform(0.2, 1.5, 14)
-    times = 1 + np.append(0.0, np.cumsum(flights))
-    Path("random.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
-    assert main(["import", "random.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
-    capsys.readouterr()
-    words = ["identify", "bag", "--free", "restitution", "--trust-events"]
-    assert main(words) == 1
-    said = capsys.readouterr().out
-    verdict, table = said.split("parameter ", maxsplit=1)
-    assert "The model does not fit: no motion of the model explains these stamps." in verdict
-    rows = [line.split() for line in table.splitlines()[1:4]]
-    assert [len(row) for row in rows] == [3, 6, 6]  # name, value, unit; no standard error
-    assert main([*words, "--json"]) == 1
-    results = json.loads(capsys.readouterr().out)
-    assert results["parameters"]["restitution.floor"]["standard_error"] is None
-    assert results["initial_state_error"] is None
 
 
 @pytest.mark.slow
@@ -396,18 +323,6 @@ def test_useless_values_are_not_written_and_the_last_line_says_why(
     last = said.splitlines()[-1]
     assert last == f"model: ball.yaml is not written: {reason}; --accept does not change that"
     assert not Path("ball.yaml").exists()
-
-
-@pytest.mark.long
-def test_check_ends_with_1_where_the_model_does_not_fit(
-    model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The exit code is 0 if the model fits; the bag carries the right model."""
-    assert main(["identify", bag(BAG), "--check", "--clock-error", "1e-6"]) == 0
-    assert "The model fits." in capsys.readouterr().out
-    words = ["identify", bag(BAG), "--model", str(model), "--check", "--clock-error", "1e-3"]
-    assert main(words) == 1
-    assert "The model does not fit" in capsys.readouterr().out
 
 
 def test_a_check_without_a_motion_prints_no_table(

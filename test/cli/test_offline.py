@@ -12,7 +12,7 @@ from systems import jammed
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.filter.misfit import MISFIT
-from impact_observer.io.messages import bag_messages, read_estimate
+from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
 from impact_observer.io.writer import BagWriter
@@ -25,11 +25,6 @@ from impact_observer.stamps import NS_PER_S, grid
 
 EPOCH = 1_000_000_000
 CERTIFIED = ("geometric", "unilateral")
-FREE = (
-    *("--estimate-parameters", "restitution=0.02,stiffness-scale=0.01"),
-    *("--clock-error", "0", "--missed", "0", "--spurious", "0", "--mislabelled", "0"),
-)
-"""Two parameters to be estimated, all events being accepted."""
 
 
 @pytest.fixture(scope="module")
@@ -111,42 +106,6 @@ def test_end_of_a_recorded_force_is_one_warning(
     law = ("--law", "minimum-variance", "--clock-error", "0")
     observed(Path(f"{bag}8"), "estimate", *law)
     assert capsys.readouterr().out.count(warning) == 1
-
-
-@pytest.mark.slow
-def test_observe_writes_the_parameters_that_it_estimates(
-    run_bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Parameters have names, the order of the messages, and deviations that decrease."""
-    bag = observed(
-        run_bag, "estimated", "--law", "minimum-variance", *FREE, "--rate", "1", "--ensemble", "1"
-    )
-    with BagReader(bag) as reader:
-        read = (each for _, each in reader.messages("/observer/state"))
-        states = [read_estimate(each)[1] for each in read]
-    names = [name for name, _, _ in states[0].parameters]
-    errors = ["model error", "bounce error"]
-    assert names == ["stiffness-scale", "restitution.stop", *errors]
-    for k, right in enumerate((1.0, 0.7)):
-        (_, _, before), (_, value, after) = states[0].parameters[k], states[-1].parameters[k]
-        assert after < 1e-2 * before
-        assert abs(value - right) < 5 * after
-    capsys.readouterr()
-    other = ["observe", str(run_bag), *FREE, "-o", str(run_bag.parent / "none")]
-    assert main(other) == 2
-    assert "the law geometric estimates none" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_laws_without_parameters_are_compared_with_one_that_estimates_them(
-    run_bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Parameters can be estimated by minimum-variance only."""
-    laws = ["--laws", "geometric,minimum-variance"]
-    capsys.readouterr()
-    assert main(["compare", str(run_bag), *laws, *FREE, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert set(found) == {"geometric", "minimum-variance"}
 
 
 def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path) -> None:

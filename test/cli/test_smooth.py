@@ -2,7 +2,6 @@
 """smooth: a bag in, a bag with the best estimates out."""
 
 import json
-import math
 import re
 from pathlib import Path
 
@@ -247,36 +246,6 @@ def test_a_wrong_sign_of_a_sensor_is_named_beside_the_counts_of_its_samples(
             said = capsys.readouterr().out
             assert re.search(r"^encoder: 3\d\d samples: \d+ accepted", said, re.MULTILINE)
             assert ("warning: encoder contradicts the impacts and the model" in said) is is_wrong
-
-
-def test_the_deviations_of_a_coarse_encoder_on_a_periodic_motion_are_widened(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A hundred samples come again in each of twenty periods: the error is that of a hundred."""
-    model, sensor, bag = tmp_path / "lever.yaml", tmp_path / "sensor.yaml", tmp_path / "bag"
-    model.write_text(
-        "name: lever\nbodies: [{name: x, mass: 1}]\n"
-        "springs: [{between: [ground, x], stiffness: 20, damping: 1}]\n"
-        f"forces: [{{body: x, amplitude: 8, frequency: {math.pi}}}]\n"
-        "stops: [{name: stop, body: x, limit: 0.3, side: above, restitution: 0.4}]\n"
-        "initial_state: {position: [0.1], velocity: [0]}\n"
-    )
-    sensor.write_text(
-        "measurements:\n"
-        "  - {name: encoder, topic: /encoder, joint: x, quantity: position, deviation: 0.006}\n"
-    )
-    given = f"--measurements {sensor}"
-    faults = "--jitter 0.001 --measurement-noise 0 --measurement-quantisation 0.02"
-    made = f"simulate {model} --duration 40 {faults} --measurement-rate 50 {given} -o {bag}"
-    assert main(made.split()) == 0
-    options = "--clock-error 0.001 --rate 20 --initial-deviation 0.1,0.5"
-    assert main(f"smooth {bag} {given} {options} -o {tmp_path / 'smoothed'}".split()) == 0
-    said = capsys.readouterr().out
-    (warning,) = [line for line in said.splitlines() if "errors of encoder" in line]
-    assert "repeat with the motion" in warning
-    assert "count 0.02" in warning
-    factor = float(re.findall(r"by a factor of (\d\.?\d*)", warning)[0])
-    assert 3.0 < factor < 7.0
 
 
 def test_a_phase_that_nobody_knows_is_named_where_the_motion_does_not_settle(

@@ -3,23 +3,18 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 from systems import (
     EPOCH,
     PRESSED,
     chain,
-    estimates,
     event,
-    examples,
     observer,
     run,
     sample,
@@ -169,31 +164,6 @@ def test_error_of_the_model_counts_for_24_events_but_not_among_the_first_12() ->
     assert not is_exact(40, 40, 1e-3)
 
 
-@pytest.mark.long
-def test_exact_model_is_as_probable_as_a_share_of_the_hypotheses() -> None:
-    """It stays probable beside a faulty sensor, and is refuted by a plant of other restitution."""
-    model = sample("two_mass").system
-    other = replace(
-        model, contacts=tuple(replace(c, restitution=0.98 * c.restitution) for c in model.contacts)
-    )
-    rng, start = np.random.default_rng(12), sample("two_mass").initial_state()
-    for plant, jitter, exact in ((model, 1e-4, True), (other, 0.0, False)):
-        whole = run(plant, *start, seconds=60.0, rate=1.0)
-        watcher = observer(
-            model,
-            "minimum-variance",
-            np.zeros(2 * model.n),
-            uncertainty=Uncertainty(),
-            epoch=EPOCH,
-        )
-        for each in whole.events:
-            late = round(jitter * NS_PER_S * rng.normal())
-            watcher.receive(replace(each, stamp=each.stamp + late))
-        evidence = [belief.fit.evidence for belief in beliefs(watcher)]
-        assert (max(evidence) < 4.0) is exact
-        assert (max(evidence) > 12.0) is not exact
-
-
 @pytest.mark.parametrize(("clock", "ways"), [(1e-5, 1), (1e-7, 2)])
 def test_impact_within_the_error_of_a_stamp_is_left_to_the_next_flight(
     clock: float, ways: int
@@ -251,35 +221,6 @@ def test_trusting_every_event_is_the_plain_filter(name: str) -> None:
     np.testing.assert_allclose(np.concatenate([last.q, last.u]), state, atol=1e-13)
     np.testing.assert_allclose(last.covariance, root @ root.T, rtol=1e-4, atol=1e-26)
     assert all(len(each.hypotheses) == 1 for each in beliefs(watcher))
-
-
-@pytest.mark.slow
-@given(data=st.data())
-@examples(2)
-def test_any_order_of_arrival_gives_equal_bits(data: st.DataObject) -> None:
-    """With missed, spurious and duplicate events, and estimates in between."""
-    model, start, whole = truth("two_mass", 12.0)
-    kept = [each for each in whole.events if data.draw(st.integers(0, 3))]
-    spurious = data.draw(st.lists(st.integers(1, 11_999), max_size=2, unique=True))
-    stamps = [*(each.stamp for each in kept), *(EPOCH + k * 1_000_003 for k in spurious)]
-    events = [
-        ImpactEvent(stamp, (Switch("stop"),), k + 1, 0, EPOCH)
-        for k, stamp in enumerate(sorted(stamps))
-    ]
-    order = data.draw(st.permutations([*events, *events[:2]]))
-    found = []
-    for arriving in (events, order):
-        watcher = observer(
-            model, "minimum-variance", start + 0.3, uncertainty=FAULTY, epoch=EPOCH, history=1e3
-        )
-        for k, each in enumerate(arriving):
-            watcher.receive(each)
-            if arriving is order and k % 2:
-                watcher.estimate(EPOCH + 13 * NS_PER_S)
-        asked = [watcher.estimate(EPOCH + k * NS_PER_S) for k in range(0, 14, 3)]
-        bits = [np.concatenate([each.q, each.u, each.covariance.ravel()]) for each in asked]
-        found.append(np.array(bits))
-    np.testing.assert_array_equal(found[0], found[1])
 
 
 def checked(watcher: Observer, stamp: int) -> None:
@@ -341,22 +282,6 @@ def test_events_without_effect_add_no_hypotheses() -> None:
         watcher.receive(ImpactEvent(EPOCH + (k + 1) * NS_PER_S // 10, switches, k + 1, 0, EPOCH))
     assert watcher.missing == 0
     checked(watcher, EPOCH + 13 * NS_PER_S)
-
-
-@pytest.mark.slow
-def test_a_hundred_spurious_events_at_one_stamp_give_no_nan() -> None:
-    """The next true events are applied."""
-    model, start, whole = truth("two_mass", 20.0)
-    watcher = observer(
-        model, "minimum-variance", start, uncertainty=FAULTY, epoch=EPOCH, history=1e3
-    )
-    for k in range(100):
-        watcher.receive(event(1.0, "stop", sequence=k + 1))
-    for k, each in enumerate(whole.events[1:]):
-        watcher.receive(ImpactEvent(each.stamp, each.switches, 1001 + k, 0, EPOCH))
-    checked(watcher, int(whole.stamps[-1]))
-    differences = estimates(watcher, whole.stamps[-1:])[0] - whole.states[-1]
-    assert np.max(np.abs(differences)) < 1e-6
 
 
 def test_a_negative_gap_is_explained_by_its_event_after_flights_of_any_length() -> None:

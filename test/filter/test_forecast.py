@@ -237,29 +237,6 @@ def test_a_gap_that_rests_below_zero_has_been_there_from_the_start() -> None:
         assert all((dip.contact, dip.below, dip.over) == (1, 0.0, False) for dip in found)
 
 
-def test_gap_that_comes_up_from_below_is_no_dip() -> None:
-    """Just after an impact that was estimated a little too early."""
-    x = np.array([-0.9 - 1e-9, 0.0, 1.0, 0.0])
-    dips = forecast(SWINGING, 0.0, x, 1e-6 * np.eye(4), ()).dips(2.0)
-    assert dips == []
-
-
-@pytest.mark.parametrize("t", [0.0, 60.0, 1e5])
-@pytest.mark.parametrize("early", [0.0, 4e-10])
-@pytest.mark.parametrize("speed", [1e-5, 1e-4, 1e-3])
-def test_rounding_is_no_dip(t: float, early: float, speed: float) -> None:
-    """Just after an impact, however late after the epoch; a gap that falls has a dip."""
-    model = chain(
-        1,
-        contacts=[([1.0], 0.1, 0.5)],
-        force=forcing(1, -8.0, [Harmonic(2.0, [2.0], [1.0])]),
-    )
-    for velocity, seconds, count in ((speed, 1e-6, 0), (-speed, 1e-3, 1)):
-        x = np.array([-0.1 - early * speed, velocity])
-        found = forecast(model, t, x, 1e-17 * np.eye(2), ())
-        assert len(found.dips(seconds)) == count
-
-
 @given(
     root=st.floats(-5.0, 5.0),
     ends=st.tuples(st.floats(1e-6, 3.0), st.floats(1e-6, 3.0)),

@@ -26,14 +26,6 @@ def test_statistic_of_white_innovations_is_that_of_ljung_and_box() -> None:
     assert not any(fit.is_misfit for fit in fits)
 
 
-def test_statistic_agrees_with_its_definition() -> None:
-    """``n (n + 2) sum_k rho_k^2 / (n - k)`` over four lags, by hand."""
-    nu = np.random.default_rng(4).uniform(-2, 2, 20)
-    rho = [sum(nu[i] * nu[i - k] for i in range(k, 20)) / sum(nu**2) for k in range(1, 5)]
-    expected = 20 * 22 * sum(r * r / (20 - k) for k, r in enumerate(rho, 1))
-    assert fitted(nu).statistic == pytest.approx(expected, rel=1e-12)
-
-
 def test_repetition_is_the_mean_ratio_of_two_densities() -> None:
     """Of directions of normal vectors: white ones, and sums of steps of the given shares."""
     nu, ratios = np.random.default_rng(8).normal(size=9) + 1.0, []

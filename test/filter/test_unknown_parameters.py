@@ -389,27 +389,3 @@ def test_a_widened_covariance_stays_as_large_as_the_motion() -> None:
     np.testing.assert_allclose(
         covariance[np.ix_(~here, ~here)], P[np.ix_(~here, ~here)], rtol=1e-6
     )
-
-
-def test_unknowns_check_themselves() -> None:
-    """Their number and their drift."""
-    family = UnknownParameters.named(sample("two_mass").system, ["restitution"]).family
-    with pytest.raises(UsageError, match=r"shape \(2, 2\) found; expected \(1, 1\)"):
-        UnknownParameters(family, np.diag([0.1, 0.2]))
-    for drift in (-0.1, float("nan"), 2e3):
-        with pytest.raises(UsageError, match=r"parameter_drift: .* found; expected 0 to"):
-            UnknownParameters(family, np.array([[0.01]]), drift)
-
-
-def test_late_events_change_no_estimated_parameter() -> None:
-    """In any order they give the same bits."""
-    model, true = sample("two_mass").system, truth("two_mass", 12.0)
-    start = np.array([0.4, -0.3, 0.5, -0.6])
-    inorder = fed(watching(bouncier(model, 0.1), start, ["restitution"]), true.events)
-    late = watching(bouncier(model, 0.1), start, ["restitution"])
-    for k in (0, 2, 1, 4, 3):
-        late.receive(true.events[k])
-    fed(late, true.events[5:])
-    stamp = int(true.stamps[-1])
-    assert inorder.estimate(stamp).parameters == late.estimate(stamp).parameters
-    assert inorder.estimate(stamp).q.tolist() == late.estimate(stamp).q.tolist()

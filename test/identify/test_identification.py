@@ -152,14 +152,6 @@ def test_a_clock_offset_beside_a_phase_is_undetermined() -> None:
         identify(family, sensed("two_mass"))
 
 
-def test_clock_offset_and_amplitude_are_estimated() -> None:
-    """The stamps of a clock that is 20 ms ahead."""
-    model = sample("three_mass").system
-    family = parametric_family(model, ["clock-offset", "forcing-amplitude.2"])
-    found = identify(family, sensed("three_mass", clock_offset=0.02))
-    np.testing.assert_allclose(found.values, [0.02, 1.0], rtol=1e-6)
-
-
 def test_too_few_impacts_are_refused() -> None:
     """With both numbers."""
     model = sample("two_mass").system

@@ -98,17 +98,6 @@ def test_clock_offset_is_a_phase_of_every_harmonic() -> None:
     assert_derivatives(family, np.append(np.full(6, 0.1), 0.02), moments, t)
 
 
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-def test_gaps_of_the_true_motion_vanish(name: str) -> None:
-    """The plant is another program: event-driven, with its own flow and impact law."""
-    model = sample(name)
-    x = np.concatenate(model.initial_state())
-    moments = moments_of(model.system, x, 30.0)
-    t = np.array([each.t for each in moments])
-    shot = shoot(ParametricFamily(model.system, ()), x, moments, t, 0.0)
-    np.testing.assert_allclose(shot.gaps, 0.0, atol=1e-12)
-
-
 def test_gaps_of_a_motion_with_persistent_contact_vanish() -> None:
     """A mass that is pressed against its stop again and again."""
     push = forcing(1, 0.0, [Harmonic(2.0, [6.0], [0.0])])

@@ -168,16 +168,6 @@ def test_spacing_that_is_even_but_for_rounding_is_even() -> None:
     assert np.unique(Samples(TIME, FORCE, "linear").steps).size == 3
 
 
-def test_samples_are_copied_and_read_only() -> None:
-    """Neither the caller's array nor the copy can change them."""
-    time, force = TIME.copy(), FORCE.copy()
-    samples = Samples(time, force, "linear")
-    time[0] = force[0, 0] = 9.0
-    assert (samples.time[0], samples.force[0, 0]) == (-1.0, 1.0)
-    for array in (samples.time, samples.force, samples.steps):
-        assert not array.flags.writeable
-
-
 @pytest.mark.parametrize(
     ("time", "force", "hold", "message"),
     [

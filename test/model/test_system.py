@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A system checks itself, copies what it is given and cannot be changed."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from systems import Harmonic, forcing, system
@@ -22,23 +20,6 @@ def example() -> System:
         contacts=[STOP],
         force=forcing(2, 1.0, [Harmonic(2.0, [1, 0], [0, 1])]),
     )
-
-
-def arrays(s: System) -> list[np.ndarray]:
-    """All arrays of a system."""
-    f, contact = s.forcing, s.contacts[0]
-    parts = [f.constant, f.frequency, f.cosine, f.sine, contact.direction]
-    return [s.M, s.C, s.K, s.W, s.q_r, s.eps, *parts]
-
-
-def test_arrays_are_read_only() -> None:
-    """Neither arrays nor fields of a system can be changed."""
-    for array in arrays(example()):
-        assert not array.flags.writeable
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 0.0
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        example().M = np.eye(2)  # type: ignore[misc]
 
 
 def test_arrays_of_the_caller_are_copied() -> None:

@@ -176,26 +176,6 @@ def test_turns_and_scale_of_an_encoder_count() -> None:
     np.testing.assert_allclose(observer.estimate(stamp).q, [0.31, 0.82], atol=1e-12)
 
 
-def test_late_samples_and_replicas_change_nothing() -> None:
-    """Samples in any order, and the first of several replicas, give equal bits."""
-    robot = Robot(hammer())
-    system, q = cast(System, robot), np.array([0.3, 0.8])
-    orders = ([0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 5, 2])
-    samples = [
-        SensorSample(i % 2, EPOCH + 10**6 * (i // 2), q[i % 2] + 0.01 * i) for i in range(6)
-    ]
-    found = []
-    for order, ensemble in zip(orders, (1, 4), strict=True):
-        law = MeasuredPosition(system)
-        given = {"epoch": EPOCH, "ensemble": ensemble, "measurements": encoders_of(robot)}
-        observer = Observer(system, law, q, WRONG, **given)  # type: ignore[arg-type]
-        for i in order:
-            observer.measure([samples[i]])
-        found.append(observer.estimate(EPOCH + 3 * 10**6))
-    assert np.array_equal(found[0].u, found[1].u)
-    assert found[0].covariance.size == 0
-
-
 def test_replicas_agree_after_three_hits() -> None:
     """The flag needs no covariance: all replicas follow the same encoders and events."""
     robot = Robot(pressed())

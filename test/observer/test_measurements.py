@@ -21,12 +21,11 @@ from systems import (
     without_faults,
 )
 
-from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, MeasurementVerdict
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer import Observer, Options, law_named, make_observer
+from impact_observer.observer import Observer, law_named
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.plant import Run
@@ -240,9 +239,6 @@ def rig(law: str, **options: object) -> tuple[Observer, list[ImpactEvent], list[
     return watcher(model, law, x0, sensors, **options), list(whole.events), samples
 
 
-LEARNING = Uncertainty(deviation=0.3)
-
-
 def test_the_order_of_arrival_does_not_change_a_bit() -> None:
     """Everything late, one by one or together, and events after the samples that follow them."""
     one, events, samples = rig(LAW)
@@ -267,24 +263,6 @@ def test_the_order_of_arrival_does_not_change_a_bit() -> None:
         assert first.u.tobytes() == second.u.tobytes()
         assert first.covariance.tobytes() == second.covariance.tobytes()
         assert first.last_event == second.last_event
-
-
-@pytest.mark.slow
-def test_a_bank_does_not_depend_on_the_order_of_arrival() -> None:
-    """Hypotheses on clock, missed impacts and errors of the model, in every bit."""
-    one, events, samples = rig(LAW, uncertainty=LEARNING)
-    other, *_ = rig(LAW, uncertainty=LEARNING)
-    samples = samples[:250]
-    events = [each for each in events if each.stamp <= samples[-1].stamp]
-    fed(one, events, samples)
-    for each in events[1:]:
-        other.receive(each)
-    other.measure(samples[::-1])
-    other.receive(events[0])
-    for stamp in (at(0.5), samples[-1].stamp):
-        first, second = one.estimate(stamp), other.estimate(stamp)
-        assert first.q.tobytes() == second.q.tobytes()
-        assert first.covariance.tobytes() == second.covariance.tobytes()
 
 
 def test_a_late_impact_acts_before_the_samples_after_it() -> None:
@@ -505,12 +483,6 @@ def _counted(function: Callable[..., object], calls: list[object]) -> Callable[.
         return function(*given)
 
     return called
-
-
-def test_a_wrong_name_is_one_line() -> None:
-    """An observer is not made."""
-    with pytest.raises(UsageError, match="joint: 'x9' is no coordinate of two_mass"):
-        make_observer(sample("two_mass").system, Options(), measurements=[encoder("x9")])
 
 
 @pytest.mark.slow

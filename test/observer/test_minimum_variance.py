@@ -4,7 +4,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import permutations
 
 import numpy as np
 import pytest
@@ -255,37 +254,6 @@ def test_corrections_move_other_replicas_as_they_move_the_true_state() -> None:
     np.testing.assert_allclose(belief.x, belief.replicas[1], atol=1e-7)
 
 
-def test_estimate_does_not_depend_on_how_many_replicas_there_are() -> None:
-    """Bit for bit with one, two and twenty replicas, also in persistent contact."""
-    stamps = truth("pressed", 4.0).stamps
-    found = []
-    for ensemble in (1, 2, 20):
-        watcher = watching(PRESSED, np.array([0.3, -0.4, 1.0, -2.0]), ensemble=ensemble)
-        for each in truth("pressed", 4.0).events:
-            watcher.receive(each)
-        found.append(estimates(watcher, stamps))
-    assert all(np.array_equal(found[0], each) for each in found[1:])
-
-
-@pytest.mark.slow
-def test_any_order_of_arrival_gives_equal_bits() -> None:
-    """Estimate and covariance, with wrong stamps, CLOSE and OPEN."""
-    kinds = [("c1", Kind.CLOSE), ("c2", Kind.IMPACT), ("c1", Kind.OPEN), ("c2", Kind.CLOSE)]
-    events = [
-        ImpactEvent(EPOCH + stamp * 1_000_000, (Switch(*kind),), k + 1, 0, EPOCH)
-        for k, (stamp, kind) in enumerate(zip((300, 700, 1100, 1300), kinds, strict=True))
-    ]
-    found = []
-    for order in permutations(events):
-        watcher = watching(PRESSED, np.array([0.3, -0.4, 1.0, -2.0]), clock=JITTER)
-        for each in order:
-            watcher.receive(each)
-            watcher.estimate(EPOCH + 3 * NS_PER_S)
-        asked = [watcher.estimate(EPOCH + k * NS_PER_S // 4) for k in range(12)]
-        found.append(np.array([np.concatenate([e.q, e.u, e.covariance.ravel()]) for e in asked]))
-    assert all(np.array_equal(found[0], each) for each in found[1:])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", [0.0, JITTER])
 def test_estimate_converges_through_persistent_contact(clock: float) -> None:
@@ -407,15 +375,6 @@ def test_model_error_lets_covariance_grow_and_leaves_the_estimate() -> None:
     end = doubting.estimate(EPOCH + 10 * NS_PER_S)
     assert not np.any([end.q, end.u])
     assert not end.covariance.any()
-
-
-def test_true_start_with_deviation_zero_follows_the_plant() -> None:
-    """No covariance and no NaN; the error is that of the rounding of stamps."""
-    (model, start), whole = case("two_mass"), truth("two_mass", 30.0)
-    watcher = watching(model, start, deviation=0.0)
-    for each in whole.events:
-        watcher.receive(each)
-    assert np.max(np.abs(errors("two_mass", watcher, *whole.stamps[1::25].tolist()))) < 1e-8
 
 
 @pytest.mark.parametrize("damping", [1e3, 1e6, 1e9])

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from systems import EPOCH, run, sample, started
 
 from benchmarks.misfit_motion import Motion, Truth
@@ -32,7 +31,6 @@ from impact_observer.options import Options
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, Elapsed, grid
 
-Array = NDArray[np.float64]
 START = (np.array([0.3, -0.2]), np.array([0.4, -0.5]))
 SECONDS = 60.0
 TRUSTED = dict.fromkeys(("missed", "spurious", "mislabelled"), 0.0)
@@ -110,19 +108,6 @@ def test_parameters_bring_the_estimate_to_the_plant() -> None:
         errors.append(np.linalg.norm(np.concatenate([now.q, now.u]) - x) / np.linalg.norm(x))
     assert errors[0] < 1e-6
     assert errors[1] > 1e-3
-
-
-@pytest.mark.slow
-def test_late_event_gives_the_same_estimate_with_other_parameters() -> None:
-    """Bit for bit, though the account was doubted, begun and published in between."""
-    all_ = wrong().events[:30]
-    late = fed(watching(), [*all_[:12], *all_[13:], all_[12]])
-    stamp = all_[-1].stamp + 300_000_000
-    here, there = late.estimate(stamp), fed(watching(), all_).estimate(stamp)
-    np.testing.assert_array_equal(here.q, there.q)
-    np.testing.assert_array_equal(here.covariance, there.covariance)
-    assert here.parameters == there.parameters
-    assert "restitution.stop" in here.misfit
 
 
 @pytest.mark.slow

@@ -157,26 +157,6 @@ def test_unreported_persistent_contact_is_inserted() -> None:
     assert closed == resting
 
 
-WORST = {
-    "missed": (SensorModel(missed=0.2), EXACT, 1e-2),
-    "spurious": (SensorModel(spurious=0.15), EXACT, 1e-6),
-    "both": (SensorModel(missed=0.2, spurious=0.15), EXACT, 1e-1),
-    "late": (SensorModel(delay=0.01), LATE, 1e-2),
-    "jitter": (SensorModel(jitter=1e-3), UNDECLARED, 1e-4),
-    "ticks": (SensorModel(quantisation=1e-3), UNDECLARED, 1e-4),
-    "dead time": (SensorModel(dead_time=0.6), EXACT, 1e-2),
-}
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-@pytest.mark.parametrize("fault", WORST)
-def test_faulty_sensor_costs_little_in_any_run(name: str, fault: str) -> None:
-    """60 s and two seeds, with the goals for the worst of 40."""
-    sensor, declared, bound = WORST[fault]
-    assert max(left(name, 60.0, sensor, declared, seed) for seed in range(2)) < bound
-
-
 def locked(count: int, *spurious: float, **uncertainty: float) -> Observer:
     """An observer of two_mass after ``count`` impacts and some spurious events."""
     model, start, whole = truth("two_mass", 30.0)
@@ -410,15 +390,6 @@ def test_a_jump_of_the_clock_by_an_hour_is_soon_found_hopeless(
     assert max(searched) < 60
 
 
-def test_estimates_do_not_depend_on_the_stamps_of_earlier_estimates() -> None:
-    """Bit for bit, also where missed impacts are inserted."""
-    stamps = (EPOCH + np.arange(17_700, 22_000, 157) * 1_000_000).astype(np.int64)
-    found = estimates(locked(13), stamps)
-    order = np.random.default_rng(1).permutation(stamps.size)
-    np.testing.assert_array_equal(estimates(locked(13), stamps[order]), found[order])
-    np.testing.assert_array_equal(estimates(locked(13), stamps[[16]])[0], found[16])
-
-
 def recovered(watcher: Observer, whole: Run, events: Sequence[ImpactEvent]) -> list[Verdict]:
     """The verdicts up to a correct estimate, which must come within 2n + 2 events."""
     verdicts: list[Verdict] = []
@@ -503,20 +474,6 @@ def test_clock_error_is_estimated(error: float) -> None:
     assert name == "clock_error"
     assert 1 / 3.5 < found / error < 3.5
     assert deviation < 3 * error
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-def test_clock_error_is_estimated_in_any_run(name: str) -> None:
-    """The same in 60 s."""
-    model, start, whole = truth(name, 60.0)
-    for error in (1e-6, 1e-5, 1e-4, 1e-3):
-        x = start + np.random.default_rng(1).normal(size=start.size)
-        watcher = watching(model, x, UNDECLARED)
-        for each in reported(name, 60.0, SensorModel(jitter=error), 1):
-            watcher.receive(each.event)
-        _, found, _ = watcher.estimate(int(whole.stamps[-1])).parameters[0]
-        assert 1 / 3.5 < found / error < 3.5
 
 
 @pytest.mark.long
@@ -614,16 +571,6 @@ def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: 
 def test_synchronized_is_never_wrong(sensor: SensorModel, declared: dict[str, Any]) -> None:
     """With missed, spurious, late and jittered events."""
     assert never_wrong("two_mass", sensor, declared, seed=1) > 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-@pytest.mark.parametrize("fault", WORST)
-def test_synchronized_is_never_wrong_in_any_run(name: str, fault: str) -> None:
-    """Two seeds."""
-    sensor, declared, _ = WORST[fault]
-    counts = [never_wrong(name, sensor, declared, seed) for seed in range(2)]
-    assert len(counts) == 2
 
 
 @pytest.mark.long

@@ -3,13 +3,11 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from systems import EPOCH, PRESSED, event, examples, observer, reachable, switching, system
 
 from impact_observer.compare.comparison import impacts_in
@@ -22,7 +20,6 @@ from impact_observer.observer.laws import BUILT_IN
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.stamps import NS_PER_S
 
-Array = NDArray[np.float64]
 LAWS = pytest.mark.parametrize("law", BUILT_IN)
 UNILATERAL_SLOW = pytest.mark.parametrize(
     "law",
@@ -213,9 +210,6 @@ def test_impacts_are_listed_as_they_are_applied(data: st.DataObject) -> None:
     assert {name: found.tolist() for name, found in impacts_in(events).items()} == stamps
 
 
-CLOSE_8 = switching(("c1", Kind.CLOSE), seconds=0.5, sequence=8)
-
-
 def reasons(verdicts: Sequence[Verdict]) -> list[tuple[Ruling, str]]:
     """Ruling and reason of each verdict."""
     return [(each.ruling, each.reason) for each in verdicts]
@@ -293,16 +287,6 @@ def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -
     assert bits(forth) == bits(back) == bits(plain)
     assert forth.remarks[Remark.SUPERSEDED] == back.remarks[Remark.SUPERSEDED] == 1
     assert forth.estimate(EPOCH + 2 * NS_PER_S).closed == ("c2",)
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_close_of_several_contacts_supersedes_without_numbers_too(*, turned: bool) -> None:
-    """Though by its contacts it comes before the IMPACT."""
-    closing = switching(("c1", Kind.CLOSE), ("c2", Kind.CLOSE), seconds=1.0)
-    events = [switching(("c2", Kind.IMPACT), seconds=1.0), closing]
-    watcher = watcher_of("geometric", events[::-1] if turned else events)
-    assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ("c1", "c2")
-    assert bits(watcher) == bits(watcher_of("geometric", [closing]))
 
 
 def test_superseding_the_latest_event_is_not_late() -> None:
@@ -423,36 +407,6 @@ def test_events_after_a_set_state_act_on_it(law: str) -> None:
     assert bits(first, stamps) == bits(last, stamps)
 
 
-@pytest.mark.parametrize(
-    "law", ["open-loop", pytest.param("minimum-variance", marks=pytest.mark.long)]
-)
-def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
-    """Many events, each late by up to four others, every third twice: equal bits."""
-    random, count = np.random.default_rng(7), 160
-    kinds = random.choice([Kind.IMPACT, Kind.CLOSE, Kind.OPEN], count)
-    jitter = random.normal(0.0, 0.02, count)
-    events = [
-        switching((f"c{1 + k % 2}", Kind(kind)), seconds=0.05 * (k + 2) + shift, sequence=k + 1)
-        for k, (kind, shift) in enumerate(zip(kinds.tolist(), jitter.tolist(), strict=True))
-    ]
-    order = np.argsort(np.arange(count) + random.uniform(0, 4, count)).tolist()
-    ordered, shuffled = (watcher_of(law, history=1.0, ensemble=1) for _ in range(2))
-    most = 0
-    for k, i in enumerate(order):
-        ordered.receive(events[k])
-        for again in range(1 + (k % 3 == 0)):
-            verdict = shuffled.receive(events[i])[0]
-            assert verdict.ruling is (Ruling.DUPLICATE if again else Ruling.APPLIED)
-        timeline = shuffled.timeline
-        assert timeline is not None
-        most = max(most, len(timeline.entries))
-    assert most < 65
-    end = max(each.stamp for each in events)
-    stamps = list(range(end - NS_PER_S // 2, end + NS_PER_S, NS_PER_S // 10))
-    assert bits(shuffled, stamps) == bits(ordered, stamps)
-    assert shuffled.missing == ordered.missing == 0
-
-
 def test_sequence_numbers_beyond_the_history_are_neither_new_nor_missing() -> None:
     """Whether the events arrive again or not."""
     numbers = SequenceNumbers()
@@ -497,12 +451,6 @@ def test_event_that_is_not_applied_does_not_shorten_the_past() -> None:
     assert watcher.missing == 1
     assert watcher.receive(events[89])[0].ruling is Ruling.APPLIED
     assert watcher.missing == 0
-
-
-def test_page_of_events_names_everything_that_is_counted() -> None:
-    """docs/events.md lists every remark."""
-    page = (Path(__file__).parents[2] / "docs" / "events.md").read_text()
-    assert [remark.value for remark in Remark if f"`{remark.value}`" not in page] == []
 
 
 @examples(4)

@@ -160,25 +160,6 @@ def test_convergence_is_the_largest_distance_of_two_replicas() -> None:
             assert largest <= found <= 4 * largest
 
 
-def test_one_replica_is_never_synchronized() -> None:
-    """Its convergence is -1, even in the true state."""
-    watcher = observer(THREE_MASS.system, "geometric", TRUTH.states[0], epoch=EPOCH, ensemble=1)
-    distances(watcher)
-    last = watcher.estimate(int(TRUTH.stamps[-1]))
-    assert (last.convergence, last.synchronized) == (-1.0, False)
-
-
-def test_convergence_never_rises() -> None:
-    """V between replicas under the same events does not rise."""
-    watcher = observer(THREE_MASS.system, "geometric", random_start(3), epoch=EPOCH)
-    found = []
-    for each in TRUTH.events:
-        watcher.receive(each)
-        found.append(watcher.estimate(each.stamp).convergence)
-    assert np.all(np.diff(found) <= 1e-12 * found[0])
-    assert found[-1] < 1e-2 * found[0]
-
-
 def test_replicas_must_agree_for_several_events_before_synchronization() -> None:
     """Replicas that begin together are synchronized after so many events, not before."""
     watcher = started(THREE_MASS.system, "geometric", TRUTH.states[0], deviation=1e-6)
@@ -231,22 +212,6 @@ def test_impact_far_from_all_replicas_ends_synchronization() -> None:
     farthest = THREE_MASS.system.contact_names[int(np.argmax(gap))]
     watcher.receive(event(30.0, farthest, sequence=1000))
     assert not watcher.estimate(stamp).synchronized
-
-
-@CERTIFIED
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(each, marks=pytest.mark.slow) for each in (1, 2, 3))]
-)
-def test_certified_bound_holds(law: str, seed: int) -> None:
-    """It starts above V and falls, and V stays below it."""
-    start = random_start(seed)
-    watcher = observer(THREE_MASS.system, law, start, epoch=EPOCH, history=LONG, ensemble=1)
-    found = distances(watcher)
-    bounds = [watcher.estimate(int(stamp)).bound for stamp in TRUTH.stamps]
-    bounds = [watcher.estimate(EPOCH).bound, *bounds]
-    assert np.all(np.diff(bounds) <= 0)
-    assert np.all(np.array(found) <= np.array(bounds[1:]))
-    assert bounds[-1] < bounds[0]
 
 
 @pytest.mark.slow

@@ -46,27 +46,12 @@ def states(timeline: Timeline) -> list[float]:
     return [float(entry.belief.x[0]) for entry in timeline.entries]
 
 
-def test_late_event_is_inserted_and_the_later_ones_are_applied_again() -> None:
-    """The same states as if it had come in time."""
-    assert states(filled(key(1), key(3), key(2))) == [0, 1, 12, 123]
-    assert states(filled(key(3), key(2), key(1))) == states(filled(key(1), key(2), key(3)))
-
-
 def test_equal_stamps_are_successive_by_sequence() -> None:
     """And by contact where there are no numbers; never by arrival."""
     timeline = filled(key(1, 8), key(1, 7), key(1, 9))
     assert [entry.key.sequence for entry in timeline.entries[1:]] == [7, 8, 9]
     unnumbered = filled(key(1, 0, 1), key(1, 0, 0))
     assert [entry.key.switches[0][0] for entry in unnumbered.entries[1:]] == [0, 1]
-
-
-def test_state_at_a_stamp_is_after_all_events_of_that_stamp() -> None:
-    """At, before and after, with two events at one instant."""
-    timeline = filled(key(2, 1), key(2, 2), key(5, 3))
-    assert timeline.entry_at(1).key.sequence == -1
-    assert timeline.entry_at(2).key.sequence == 2
-    assert timeline.entry_at(4).key.sequence == 2
-    assert timeline.entry_at(5).key.sequence == timeline.entry_at(9).key.sequence == 3
 
 
 def test_event_at_the_start_comes_after_the_initial_state() -> None:
@@ -95,13 +80,6 @@ def test_cut_keeps_the_states_after_it() -> None:
     assert timeline.entry_at(3).belief.x[0] == 12
     timeline.forget_before(-5, 100)
     assert states(timeline) == [12, 124]
-
-
-def test_restart_applies_the_later_events_again() -> None:
-    """Events before the new start are gone, those after it follow the new state."""
-    timeline = filled(key(1), key(3), key(4))
-    timeline.restart(first(2, 5.0))
-    assert states(timeline) == [5, 53, 534]
 
 
 def test_update_that_fails_leaves_the_timeline_unchanged() -> None:

@@ -161,23 +161,6 @@ def test_v_falls_for_free_bodies(model: System) -> None:
         assert V[-1] <= 0.5 * V[0]
 
 
-def test_estimate_depends_neither_on_other_estimates_nor_on_arrival() -> None:
-    """Events in any order, with estimates in between: the same bits."""
-    model = sample("three_mass")
-    plant = run(model.system, *model.initial_state(), seconds=5.0)
-    x = np.concatenate(model.initial_state()) + np.random.default_rng(1).normal(size=6)
-    stamps = grid(EPOCH, EPOCH + 5 * NS_PER_S, 4.0)
-    once = observer(model.system, "unilateral", x, epoch=EPOCH, ensemble=1)
-    for each in plant.events:
-        once.receive(each)
-    asked = observer(model.system, "unilateral", x, epoch=EPOCH, ensemble=1)
-    for each in (plant.events[0], *plant.events[:0:-1]):
-        asked.receive(each)
-        asked.estimate(int(stamps[7]))
-    expected = estimates(once, stamps)
-    np.testing.assert_array_equal(estimates(asked, stamps[::-1])[::-1], expected)
-
-
 def test_certified_bound_is_never_below_the_true_distance() -> None:
     """Both projections lower it, so it falls faster than that of geometric."""
     model = sample("three_mass")

@@ -192,13 +192,6 @@ def test_last_verdicts_are_those_of_the_likeliest_hypothesis(late: bool) -> None
 
 
 @pytest.mark.slow
-def test_final_rulings_do_not_depend_on_the_order_of_arrival() -> None:
-    """One event arrives last of all: the final rulings are the same."""
-    for seed in range(3):
-        assert_same(final(run_of(seed)[2]), final(run_of(seed, late=True)[2]))
-
-
-@pytest.mark.slow
 def test_revised_verdict_says_so_and_is_counted() -> None:
     """By ``revises`` and its reason; ``remarks`` counts revisions."""
     count = 0

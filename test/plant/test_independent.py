@@ -184,30 +184,10 @@ def test_simultaneous_impacts_are_those_of_an_enumeration(
     assert max(agreement(*pair, given.system.n) for pair in zip(ours, other, strict=True)) < 1e-8
 
 
-def test_some_simultaneous_contacts_take_no_impulse() -> None:
-    """Its first impact needs the complementarity: Newton's equations alone are not enough."""
-    first = Other(cases.thrown_beads()).run()[0]
-    model = cases.thrown_beads().system
-    before, after = (model.contact_speed(x[model.n :]) for x in (first.before, first.after))
-    excess = (after + model.eps * before)[list(first.contacts)]
-    assert len(first.contacts) == 6
-    assert np.max(excess) > 0.1
-    assert np.min(excess) > -1e-14
-
-
 def test_resting_beads_stay_closed_under_the_falling_one() -> None:
     """Nine contacts are closed before and after each impact of the tenth."""
     found = cases.impacts(cases.resting_beads())
     assert [one.closed for one in found] == [tuple(range(9))] * 4
-
-
-@pytest.mark.parametrize("eps", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
-def test_contact_opens_where_its_load_vanishes(eps: float) -> None:
-    """``lambda = 2 - 3 cos t`` at the stop, so a persistent contact ends at ``cos t = 2/3``."""
-    found = cases.switchings(cases.pressed_mass(eps))
-    opened = [cases.seconds(one) for one in found if Kind.OPEN in cases.kinds(one)]
-    expected = 2 * np.pi * np.arange(1, 4) - np.arccos(2 / 3)
-    np.testing.assert_allclose(opened, expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from contact_cases import approach, seconds
 from numpy.typing import NDArray
-from scipy import linalg
 from systems import EPOCH, chain, forcing, run, sample, started, system
 
 from impact_observer.errors import ImpactLawError, UsageError
-from impact_observer.events import ImpactEvent, Switch
+from impact_observer.events import Switch
 from impact_observer.model import System
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, Instant, grid
@@ -30,16 +29,6 @@ def energy(model: System, states: Array) -> Array:
     q, u = states[:, : model.n], states[:, model.n :]
     kinetic, elastic = ((x @ form * x).sum(axis=1) / 2 for x, form in ((u, model.M), (q, model.K)))
     return np.asarray(kinetic + elastic - q @ model.forcing.constant)
-
-
-def test_energy_is_conserved_without_damping_and_with_full_restitution() -> None:
-    """Hundreds of impacts of a chain between two walls."""
-    contacts = [([1, 0, 0], 0.2, 1.0), ([0, 0, -1], 0.3, 1.0), ([0, -1, 1], 0.1, 1.0)]
-    model = chain(3, damping=0.0, contacts=contacts, force=forcing(3, [0.3, 0, -0.2]))
-    found = run(model, [0.0, 0.1, 0.05], [2.0, -3.0, 1.0], seconds=60.0)
-    assert len(found.impacts) > 250
-    total = energy(model, found.states)
-    np.testing.assert_allclose(total, total[0], rtol=1e-11)
 
 
 @pytest.mark.slow
@@ -100,15 +89,6 @@ def test_sample_at_an_impacts_stamp_is_after_it() -> None:
     assert min(remainders) < 0 < max(remainders)
 
 
-def test_run_samples_an_impacts_stamp_after_it() -> None:
-    """The same through a whole run, with the impact's stamp on the grid."""
-    model = system(1, 0, 0, contacts=[([1], 0.0, 0.5)])
-    found = run(model, [1.0], [-1.0], seconds=2.0, rate=2.0)
-    np.testing.assert_allclose(found.states[:, 1], [-1, -1, 0.5, 0.5, 0.5], atol=1e-15)
-    np.testing.assert_allclose(found.states[:, 0], [1, 0.5, 0, 0.25, 0.5], atol=1e-15)
-    assert found.events == (ImpactEvent(EPOCH + NS_PER_S, (Switch("c1"),), 1, 0, EPOCH),)
-
-
 def test_moving_the_epoch_moves_the_stamps_only() -> None:
     """Forced or not, the same states to the last bit and the same instants, later."""
     model, start = sample("three_mass").system, sample("three_mass").initial_state()
@@ -143,19 +123,6 @@ def test_impacts_do_not_depend_on_when_they_are_requested() -> None:
     assert [i.instant for i in often] == [i.instant for i in once]
     for one, two in zip(once, often, strict=True):
         np.testing.assert_array_equal(one.after, two.after)
-
-
-def test_sampling_rate_does_not_change_the_switchings() -> None:
-    """Intervals from a millisecond to ten seconds: the same switchings to the last bit."""
-    model, start = sample("three_mass").system, sample("three_mass").initial_state()
-    runs = [run(model, *start, seconds=10.0, rate=rate) for rate in (0.1, 3.7, 1000.0)]
-    for other in runs[1:]:
-        assert other.events == runs[0].events
-        for one, two in zip(runs[0].switchings, other.switchings, strict=True):
-            assert one.instant == two.instant
-            assert (one.contacts, one.closed, one.held) == (two.contacts, two.closed, two.held)
-            np.testing.assert_array_equal(one.before, two.before)
-            np.testing.assert_array_equal(one.after, two.after)
 
 
 def test_impact_is_returned_only_up_to_the_limit() -> None:
@@ -198,18 +165,6 @@ def test_start_at_an_impact_without_a_solution_is_refused() -> None:
     model = system(1, 0, 0, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
     with pytest.raises(ImpactLawError, match=r"at 5\.000000000 s: contacts 'c1', 'c2'"):
         started(model, [0.0], [-1.0])
-
-
-def test_run_without_samples_is_empty() -> None:
-    """No stamps, no states, no impacts; a run without contact has no events."""
-    nothing = simulate(started(chain(2), [0.1, 0.0], [0.0, 0.0]), np.empty(0, dtype=np.int64))
-    assert nothing.states.shape == (0, 4)
-    free = run(chain(2), [0.1, 0.0], [0.0, 0.0], seconds=2.0)
-    assert free.events == ()
-    expected = linalg.expm(
-        2.0 * np.block([[np.zeros((2, 2)), np.eye(2)], [-chain(2).K, -chain(2).C]])
-    )
-    np.testing.assert_allclose(free.states[-1], expected @ [0.1, 0, 0, 0], atol=1e-13)
 
 
 def test_progress_is_called_at_every_impact() -> None:

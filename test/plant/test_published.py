@@ -5,7 +5,6 @@ What is published are a few digits each; the closed forms, in double or in fifty
 """
 
 from decimal import Decimal, localcontext
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -124,28 +123,6 @@ def test_coco_orbit_returns_after_one_period() -> None:
     np.testing.assert_allclose([seconds(one) for one in impacts], expected, rtol=0, atol=1e-10)
     speeds = [-approach(model, one) for one in impacts]
     np.testing.assert_allclose(speeds, speed, rtol=0, atol=1e-10)
-
-
-def test_exact_orbit_stays_for_ten_periods() -> None:
-    """``x'' + x = cos 2t``, ``x <= 0``: one impact a period, at phase pi/2, with speed 20/3.
-
-    Ours, in closed form: ``x = a cos t + b sin t - cos(2t) / 3`` between two impacts.
-    """
-    model = system(
-        1, 0, 1, contacts=[([-1], 0.0, 0.8)], force=forcing(1, 0, [Harmonic(2.0, [1], [0])])
-    )
-    # From x(t0) = 0, x'(t0+) = -0.8 (20/3), t0 = pi/4: x + cos(2t)/3 is 0 there and its rate
-    # -16/3 - 2/3 = -6, so it is -6 sin(t - t0), which gives x'(t0 + pi) = 6 + 2/3 as it should.
-    t0 = np.pi / 4
-    begin = np.pi - t0  # t0 is an impact, the epoch is at t = pi
-    position = -6 * np.sin(begin) - np.cos(2 * (t0 + begin)) / 3
-    velocity = -6 * np.cos(begin) + 2 * np.sin(2 * (t0 + begin)) / 3
-    impacts = crossed(started(model, [position], [velocity]), 10)
-    times = np.array([seconds(one) for one in impacts])
-    np.testing.assert_allclose(times, t0 + np.pi * np.arange(10), rtol=0, atol=1e-10)
-    speeds = [-approach(model, one) for one in impacts]
-    np.testing.assert_allclose(speeds, 20 / 3, rtol=0, atol=1e-10)
-    assert all(later - earlier == pytest.approx(np.pi) for earlier, later in pairwise(times))
 
 
 BALL_ON_MOVING_PLANE = """

@@ -13,7 +13,7 @@ from sensing import FULL, THREE, impacts, messages, switching
 from systems import EPOCH, forcing, run, sample, system
 
 from impact_observer.errors import UsageError
-from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.events import Kind, Switch
 from impact_observer.options import Option
 from impact_observer.plant import (
     IDEAL,
@@ -130,13 +130,6 @@ def test_jitter_is_normal_and_does_not_change_the_arrival() -> None:
     )
 
 
-def test_jitter_puts_stamps_in_another_order_than_sequence_numbers() -> None:
-    """Sequence numbers count the instants."""
-    found = messages(SensorModel(jitter=0.01), impacts(200, every=0.001))
-    assert [each.event.sequence for each in found] == list(range(1, 201))
-    assert np.any(np.diff([each.event.stamp for each in found]) < 0)
-
-
 def test_quantised_stamps_are_the_nearest_multiples() -> None:
     """Errors are uniform within half a tick."""
     switchings = [switching(math.sqrt(k), [(0, Kind.IMPACT)]) for k in range(1, 2001)]
@@ -151,12 +144,6 @@ def test_clock_has_an_offset_and_a_drift() -> None:
     """The offset at the epoch, plus the drift for every second since."""
     error = errors(SensorModel(clock_offset=-0.5, clock_drift=1e-3), impacts(1000))
     np.testing.assert_allclose(error, -0.5 + 1e-3 * np.arange(1, 1001), rtol=0, atol=1e-9)
-
-
-def test_the_epoch_of_an_event_is_the_plants() -> None:
-    """The clock's error is in the stamps only, not in the epoch."""
-    found = messages(SensorModel(clock_offset=-0.5), impacts(3))
-    assert {each.event.epoch for each in found} == {EPOCH}
 
 
 def test_clock_with_negative_stamps_is_refused() -> None:
@@ -374,13 +361,6 @@ def test_accumulating_impacts_are_lost_to_a_dead_time_and_a_threshold() -> None:
 
     assert detected(SensorModel(threshold=0.75)) == [1.0, 1.5, 1.75]
     assert detected(SensorModel(dead_time=0.2)) == [1.0, 1.5, 1.75, pytest.approx(1.96875)]
-
-
-def test_ideal_event_is_the_switching_itself() -> None:
-    """Its instant, rounded to 1 ns, and all that switches."""
-    for k, each in enumerate(PERSISTENT):
-        (message,) = messages(IDEAL, PERSISTENT)[k : k + 1]
-        assert message.event == ImpactEvent(each.instant.stamp, each.switches, k + 1, 0, EPOCH)
 
 
 def test_switching_without_switches_is_not_reported() -> None:

@@ -12,7 +12,6 @@ from quadrature import NODES, integral
 from scipy import optimize
 from systems import (
     Harmonic,
-    chain,
     examples,
     forcing,
     numbers,
@@ -314,15 +313,6 @@ def test_force_that_jumps_releases_at_its_jump() -> None:
     found = motion.states(np.array([1.0, 1.5, 2.0, 2.5, 3.0, 4.0]))
     expected = np.array([[0, 0], [0.125, 0.5], [0.5, 1], [0.875, 0.5], [1, 0], [1, 0]])
     np.testing.assert_allclose(found, expected, atol=1e-13)
-
-
-def test_no_contact_closed_is_free_motion() -> None:
-    """The law without any event."""
-    model = chain(2, contacts=[([1, 0], 0.5, 0.5)])
-    x = np.array([0.1, 0.2, -3.0, 1.0])
-    motion = Clutches(model).motion(0.0, x, (), fix=True)
-    np.testing.assert_allclose(motion.state(0.0), x, atol=1e-15)
-    assert model.contact_speed(motion.state(0.01)[2:])[0] < -1
 
 
 @BOTH

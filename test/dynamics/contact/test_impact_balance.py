@@ -39,13 +39,6 @@ def test_balance_is_that_of_the_jump(data: st.DataObject) -> None:
     assert found[:, 3].sum() == pytest.approx(lost, abs=1e3 * scale)
 
 
-def test_a_contact_that_takes_no_impulse_keeps_its_speed() -> None:
-    """Of two masses that nothing couples, one hits its stop while the other leaves its own."""
-    model = system(np.eye(2), np.eye(2), np.eye(2), contacts=[([1, 0], 0, 0.5), ([0, 1], 0, 0.5)])
-    found = impact_balance(model, (0, 1), (0,), np.array([-2.0, 3.0]))
-    np.testing.assert_allclose(found, np.array([[2, 1, 3, 1.5], [-3, 3, 0, 0]]))
-
-
 def test_speeds_beside_those_of_the_law_change_impulse_and_energy() -> None:
     """A mass of 2 kg that leaves 0.1 m/s faster: the impulse is larger by 0.2 N s."""
     model = system([[2]], [[0]], [[1]], contacts=[([1], 0, 0.5)])

@@ -223,11 +223,6 @@ def test_one_contact_leaves_and_others_stay() -> None:
     assert decide(model, np.zeros(6))[:2] == ((0, 2), (0, 2))
 
 
-def test_no_contact_gives_no_persistent_contact() -> None:
-    """Nor does it look at the motion."""
-    assert persistent_contacts(Phases(pushed()), (), 0.0, np.zeros(2), ())[:2] == ((), ())
-
-
 @pytest.mark.parametrize("mass", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("rate", [1e-3, 1.0, 1e4])
 @pytest.mark.parametrize("length", [1e-6, 1.0])

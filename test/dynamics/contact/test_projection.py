@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
-from systems import LAPLACIAN, chain, examples, sample, system, systems, vectors
+from systems import LAPLACIAN, chain, examples, system, systems, vectors
 
 from impact_observer.dynamics import PositionProjection
 from impact_observer.model import System
@@ -127,13 +127,6 @@ def test_second_jump_changes_nothing(data: st.DataObject) -> None:
     np.testing.assert_allclose(again, q, atol=1e-7 * (1 + np.max(np.abs(q))))
 
 
-def test_ball_jumps_to_the_floor() -> None:
-    """No stiffness at all: the whole body moves."""
-    model = sample("bouncing_ball").system
-    after = PositionProjection(model).position_after(np.array([0.3]), (0,))
-    assert after.tolist() == [0.0]
-
-
 def test_contact_between_free_bodies_does_not_see_their_common_motion() -> None:
     """What rounding leaves of the rigid mode in ``W`` is not taken for a way to close the gap."""
     model = system(
@@ -176,11 +169,3 @@ def test_redundant_contacts_are_one() -> None:
     np.testing.assert_allclose(
         PositionProjection(many).position_after(q, (0, 1, 2)), once, atol=1e-14
     )
-
-
-def test_jump_is_kept_and_read_only() -> None:
-    """It is computed once for each set of contacts, and cannot be changed."""
-    projection = PositionProjection(chain(2, contacts=[([0, -1], 0.5, 0.7)]))
-    jump = projection.jump((0,))
-    assert projection.jump((0,)) is jump
-    assert not jump.flags.writeable

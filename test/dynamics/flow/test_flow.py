@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy import integrate, linalg
+from scipy import linalg
 from systems import (
     LAPLACIAN,
     Harmonic,
@@ -154,14 +154,6 @@ def test_resonance_grows_linearly_for_a_thousand_periods() -> None:
     np.testing.assert_allclose(q, s * np.sin(s) / 2, atol=1e-12 * s[-1])
 
 
-def test_free_fall_is_a_parabola() -> None:
-    """A rigid mode under a constant force is resonance at frequency zero."""
-    s = np.linspace(0.0, 100.0, 11)
-    states = flow_of(sample("bouncing_ball").system).start(5.0, np.array([1.0, 2.0])).states(s)
-    np.testing.assert_allclose(states[:, 0], 1 + 2 * s - 9.81 * s**2 / 2, rtol=1e-14)
-    np.testing.assert_allclose(states[:, 1], 2 - 9.81 * s, rtol=1e-14)
-
-
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 13, 21, 30])
 def test_flow_of_any_size_agrees_with_a_matrix_exponential(n: int) -> None:
     """The augmented matrix is assembled here, row by row."""
@@ -188,37 +180,6 @@ def test_flow_of_any_size_agrees_with_a_matrix_exponential(n: int) -> None:
     assert flow_of(model).modes.are_pairs
     found = flow_of(model).start(t, x).states(np.array([s]))
     assert error(model, found, expected, x) < 2e-13
-
-
-@pytest.mark.slow
-def test_flow_of_thirty_masses_agrees_with_a_runge_kutta_method() -> None:
-    """DOP853 with tight tolerances makes no use of linearity."""
-    n = 30
-    force = forcing(n, 0.1, [Harmonic(3.0, [1.0] + [0.0] * (n - 1), [0.5] * n)])
-    model = chain(n, stiffness=25.0, damping=0.06, force=force)
-    x = np.random.default_rng(3).normal(size=2 * n)
-
-    def slope(t: float, state: Array) -> Array:
-        load = model.forcing(t) - model.C @ state[n:] - model.K @ state[:n]
-        return np.concatenate([state[n:], np.linalg.solve(model.M, load)])
-
-    solution = integrate.solve_ivp(slope, (0.5, 3.5), x, "DOP853", rtol=1e-13, atol=1e-14)
-    found = flow_of(model).start(0.5, x).states(np.array([3.0]))
-    assert error(model, found, solution.y[:, -1][None], x) < 1e-11
-
-
-@examples(40)
-@given(st.data())
-def test_flow_is_a_group(data: st.DataObject) -> None:
-    """One flow over the sum is the two flows one after the other, forced or not."""
-    model = data.draw(systems(contacts=(0, 0)))
-    x = data.draw(vectors(2 * model.n))
-    t, first, second = (data.draw(numbers(0.0, 4.0)) for _ in range(3))
-    flow = flow_of(model)
-    halfway = flow.start(t, x).state(first)
-    there = flow.start(t + first, halfway).state(second)
-    once = flow.start(t, x).state(first + second)
-    assert error(model, there[None], once[None], np.vstack([x, halfway])) < 1e-12
 
 
 @examples(40)
@@ -268,13 +229,6 @@ def test_defective_system_moves_in_strides() -> None:
     x, s = np.array([1.0, 0.5, -0.3, 0.2]), np.array([0.3, 2.0])
     expected = precise.flow(model, 0.0, x, s.tolist())
     assert error(model, flow_of(model).start(0.0, x).states(s), expected, x) < 1e-13
-
-
-def test_motion_has_its_start_time() -> None:
-    """Seconds since the epoch, for whoever evaluates the forcing along it."""
-    model = sample("two_mass").system
-    for flow in (spectral(model), strides(model)):
-        assert flow.start(2.5, np.zeros(4)).t == 2.5
 
 
 @pytest.mark.parametrize("model", PHASES.values(), ids=PHASES.keys())

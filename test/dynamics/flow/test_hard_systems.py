@@ -191,24 +191,6 @@ def test_unit_of_time_does_not_change_the_motion(factor: float, data: st.DataObj
     assert np.max(np.abs(quick_states - slow_states)) < 3e-12 * scale
 
 
-@pytest.mark.parametrize("factor", [1e6, 1e-4])
-@pytest.mark.parametrize("distance", [0.0, 1e-12, 1e-9, 1e-6])
-def test_matrix_exponential_does_not_depend_on_the_unit_of_time(
-    factor: float, distance: float
-) -> None:
-    """Nor does the choice between it and the modes."""
-    model = system(
-        np.eye(2),
-        np.diag([1 + distance, 0.0]),
-        [[1.25, 0.5], [0.5, 1.0]],
-        force=forcing(2, 1.0, [WAVE]),
-    )
-    quick = faster(model, factor)
-    assert split(quick).are_pairs == split(model).are_pairs
-    x = np.array([1.0, 0.5, -0.3, 0.2]) * np.repeat([1.0, factor], 2)
-    assert error(quick, x, SECONDS / factor) < 1e-12
-
-
 def test_free_bodies_with_coupled_damping_keep_their_digits() -> None:
     """No springs, weak dampers of very different size between all: any frame is a rigid one."""
     rng = np.random.default_rng(1)

@@ -19,7 +19,7 @@ from systems import (
     vectors,
 )
 
-from impact_observer.dynamics import Phase, Phases, PositionProjection, Watched
+from impact_observer.dynamics import Phases, PositionProjection, Watched
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -229,14 +229,6 @@ def test_distance_of_two_motions_of_one_phase_never_grows(data: st.DataObject) -
     assert np.max(np.diff(V)) <= 1e-10 * (1 + V[0]) + 1e-12 * size**2
 
 
-def test_phases_are_prepared_once() -> None:
-    """And a phase whose held contacts keep all fixed gaps needs no fixed ones."""
-    phases = Phases(chain(2, contacts=[([1, 0], 0.0, 0.5), ([2, 0], 0.0, 0.5)]))
-    assert phases.phase((0,), (0, 1)) is phases.phase((0,))
-    assert phases.phase((), (0, 1)) is phases.phase((), (0, 1))
-    assert phases.phase((), (0, 1)).fixed == (0, 1)
-
-
 def test_contacts_with_the_direction_of_others_are_not_independent() -> None:
     """The first of a kind stays; a bar on three supports needs two."""
     bar = chain(
@@ -259,16 +251,3 @@ def test_stopped_state_is_the_nearest_in_energy() -> None:
     np.testing.assert_allclose(model.gap(after[:2]), 0.0, atol=1e-15)
     redundant = Phases(chain(2, contacts=[contacts[1], contacts[1], contacts[1]]))
     np.testing.assert_allclose(redundant.stopped(x, (0, 1, 2))[2:], [0.0, 0.5], atol=1e-15)
-
-
-def assert_kept(phase: Phase) -> None:
-    """The arrays that all motions of a phase share are read-only."""
-    for matrix in (phase.inverse, phase.loads, phase.Q, phase.rest):
-        assert not matrix.flags.writeable
-
-
-def test_phase_is_read_only() -> None:
-    """It is shared by all motions."""
-    phases = Phases(chain(2, contacts=[([1, 0], 0.0, 0.5)]))
-    assert_kept(phases.phase((0,)))
-    assert_kept(phases.phase((), (0,)))

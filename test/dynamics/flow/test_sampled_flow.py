@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flow under sampled forcing, against arithmetic that shares nothing with it."""
 
-from itertools import pairwise
-
 import numpy as np
 import precise
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
-from scipy import integrate
-from systems import LAPLACIAN, chain, examples, forcing, numbers, sample, system, systems, vectors
+from systems import LAPLACIAN, chain, forcing, sample, system
 
 from impact_observer.dynamics import flow_of
 from impact_observer.errors import DynamicsError
@@ -85,15 +80,6 @@ def test_flow_is_exact_between_samples_and_across_them(
         assert np.max(np.abs(found - expected)) < 1e-13 * scale
 
 
-def test_free_body_under_a_ramp_moves_with_the_cube_of_time() -> None:
-    """``q'' = b s`` from rest is ``b s^3 / 6``; a rigid mode is resonance with a ramp."""
-    model = forced(system(1, 0, 0), [0, 100], [[0], [300]], "linear")
-    s = np.array([1e-6, 0.1, 1.0, 50.0, 100.0])
-    states = flow_of(model).start(0.0, np.zeros(2)).states(s)
-    np.testing.assert_allclose(states[:, 0], s**3 / 2, rtol=1e-14)
-    np.testing.assert_allclose(states[:, 1], 3 * s**2 / 2, rtol=1e-14)
-
-
 @pytest.mark.parametrize("omega", [1e-4, 1.0, 1e6])
 @pytest.mark.parametrize("hold", HOLDS)
 def test_undamped_mode_under_a_step_and_under_a_ramp(omega: float, hold: str) -> None:
@@ -134,26 +120,6 @@ def test_many_short_steps_do_not_drift(hold: str) -> None:
     assert np.max(energy(base, once - often)) < 1e-12 * np.max(energy(base, once))
 
 
-def test_sampled_flow_agrees_with_a_runge_kutta_method() -> None:
-    """DOP853 with tight tolerances, from sample to sample."""
-    time = np.linspace(0.0, 3.0, 31)
-    model = forced(chain(8), time, noise(8, time), "linear")
-    x = np.random.default_rng(3).normal(size=16)
-
-    def slope(t: float, state: Array) -> Array:
-        load = np.array([np.interp(t, time, column) for column in model.forcing.sampled.force.T])  # type: ignore[union-attr]
-        return np.concatenate([state[8:], load - model.C @ state[8:] - model.K @ state[:8]])
-
-    state, now = x, 0.25
-    for start, stop in pairwise([now, *time[time > now][:20]]):
-        solution = integrate.solve_ivp(
-            slope, (start, stop), state, "DOP853", rtol=1e-12, atol=1e-13
-        )
-        state = solution.y[:, -1]
-    found = flow_of(model).start(now, x).state(float(time[time > now][19]) - now)
-    np.testing.assert_allclose(found, state, atol=3e-11)
-
-
 def test_samples_add_to_harmonics_and_a_constant() -> None:
     """The flow is linear in them."""
     base = sample("three_mass").system
@@ -173,27 +139,6 @@ def test_samples_add_to_harmonics_and_a_constant() -> None:
     summed = sum(flow_of(part).start(0.2, rest).states(s) for part in parts)
     found = flow_of(Equations()).start(0.2, rest).states(s)
     np.testing.assert_allclose(found, summed, atol=1e-14)
-
-
-@examples(25)
-@given(st.data())
-def test_sampled_flow_is_a_group(data: st.DataObject) -> None:
-    """One flow over the sum is the two flows one after the other, wherever the samples lie."""
-    base = data.draw(systems(contacts=(0, 0), forced=False))
-    steps = data.draw(st.lists(numbers(1 / 64, 2.0), min_size=4, max_size=8))
-    time = np.concatenate([[0.0], np.cumsum(steps)])
-    force = np.array([data.draw(vectors(base.n)) for _ in time])
-    model = forced(base, time, force, data.draw(st.sampled_from(HOLDS)))
-    x = data.draw(vectors(2 * base.n))
-    share = data.draw(numbers(0.0, 1.0)), data.draw(numbers(0.0, 1.0))
-    t = float(time[-1]) * share[0] / 2
-    first, second = (float(time[-1] - t) * part / 2 for part in (share[1], 1 - share[1]))
-    flow = flow_of(model)
-    halfway = flow.start(t, x).state(first)
-    there = flow.start(t + first, halfway).state(second)
-    once = flow.start(t, x).state(first + second)
-    scale = max(1.0, float(np.max(np.abs(np.vstack([x, halfway, once])))))
-    assert np.max(np.abs(there - once)) < 1e-11 * scale
 
 
 @pytest.mark.parametrize("base", [WITHOUT[name] for name in ("three_mass", "defective")])
@@ -242,13 +187,3 @@ def test_cubics_are_integrated_exactly() -> None:
     exact = a * s**2 / 2 + b * s**3 / 6 + c * s**4 / 12 + d * s**5 / 20
     found = flow_of(free).start(0.0, np.zeros(2)).states(s)
     np.testing.assert_allclose(found[:, 0], exact, rtol=1e-14)
-
-
-def test_no_samples_of_no_load_change_nothing() -> None:
-    """Samples that are all zero do not change the free motion."""
-    base = chain(3)
-    x, s = np.arange(6.0), np.linspace(0.0, 2.0, 5)
-    zero = forced(base, EVEN, np.zeros((EVEN.size, 3)), "linear")
-    free = flow_of(base).start(0.1, x).states(s)
-    np.testing.assert_allclose(flow_of(zero).start(0.1, x).states(s), free, atol=1e-14)
-    assert flow_of(zero).start(0.1, x).states(np.zeros(0)).shape == (0, 6)
