@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a process ends: in order after a signal, in one line after an error.
 
-All commands and nodes run inside :func:`run`. A signal raises ``KeyboardInterrupt`` once, so that
-the ``with`` and ``finally`` blocks of a command finish their work.
+All commands and nodes run inside :func:`run`. A signal raises ``Interrupt`` once, so that the
+``with`` and ``finally`` blocks of a command finish their work.
 """
 
 import ctypes
@@ -12,10 +12,8 @@ import signal
 import sys
 import threading
 import traceback
-import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import final
@@ -33,55 +31,43 @@ _PR_SET_PDEATHSIG = 1
 _PACKAGE = Path(__file__).resolve().parent
 
 
-@dataclass(slots=True)
-class Received:
-    """The signals that nested blocks have received: the first one, and how many."""
+class Interrupt(KeyboardInterrupt):
+    """A signal ends what is being done.
 
-    number: int | None = None
-    count: int = 0
+    Attributes:
+        number: of the signal.
+    """
+
+    def __init__(self, number: int, done: str = "") -> None:
+        """By the signal ``number``; the line of the process ends with what was ``done``."""
+        how = "interrupted" if number == signal.SIGINT else f"ended by {_name(number)}"
+        super().__init__(f"{how}; {done}" if done else how)
+        self.number = number
 
 
 @final
 class Stop:
     """Whether SIGINT (Ctrl-C), SIGTERM or SIGHUP has asked the process to end; a context manager.
 
-    The first signal sets ``requested``; the second one, or the first if ``at_once``, raises
-    ``KeyboardInterrupt``. A later signal writes a line, and one more ends the process at once.
-    Blocks may be nested; the signals are counted together. Outside the main thread, which receives
-    signals, a block does nothing.
+    The first signal is noted, the second one raises ``Interrupt``. Outside the main thread, which
+    receives signals, a block does nothing.
 
     Attributes:
-        received: the signals of this block and of the blocks around it.
+        number: the signal that has come; 0 for none.
     """
 
-    def __init__(self, *, at_once: bool = False) -> None:
-        """Do nothing yet.
-
-        Args:
-            at_once: whether the first signal raises ``KeyboardInterrupt``.
-        """
-        self._raising = 1 if at_once else 2
-        self.received = Received()
-        self._previous: dict[signal.Signals, signal._HANDLER] = {}
+    def __init__(self) -> None:
+        """No signal has come."""
+        self.number = 0
+        self._handling = ExitStack()
 
     @property
     def requested(self) -> bool:
         """Whether a signal has come."""
-        return self.received.number is not None
-
-    @property
-    def number(self) -> int | None:
-        """The first signal that has come."""
-        return self.received.number
+        return self.number != 0
 
     def __enter__(self) -> "Stop":
-        if threading.current_thread() is threading.main_thread():
-            outer = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)
-            if isinstance(outer, Stop):
-                self.received = outer.received
-            for each in _SIGNALS:
-                if each != signal.SIGHUP or signal.getsignal(each) is not signal.SIG_IGN:  # nohup
-                    self._previous[each] = signal.signal(each, self._handle)
+        self._handling.enter_context(_handled_by(self._note))
         return self
 
     def __exit__(
@@ -90,24 +76,40 @@ class Stop:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        for each, handler in self._previous.items():
-            signal.signal(each, handler)
+        self._handling.close()
 
-    def _handle(self, number: int, _frame: FrameType | None) -> None:
+    def _note(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal."""
-        received = self.received
-        received.number = received.number or number
-        received.count += 1
-        if received.count == self._raising:
-            raise KeyboardInterrupt
-        # Python's streams are not reentrant, so the lines bypass the streams.
-        if received.count == self._raising + 1:
-            os.write(2, b"ending already; once more ends it at once, with work unfinished\n")
-        elif received.count > self._raising:
-            os.write(
-                2, b"ended at once; a bag that was open has no end, and is read without one\n"
-            )
-            os._exit(128 + number)
+        if self.number:
+            _interrupt(number, frame)
+        self.number = number
+
+
+def _interrupt(number: int, _: FrameType | None) -> None:
+    """Handle a signal: raise ``Interrupt``, once; the next signal ends the process."""
+    for each in _SIGNALS:
+        signal.signal(each, signal.SIG_DFL)
+    raise Interrupt(number)
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Within the block, signals have a ``handler``; SIGHUP not where it is ignored (nohup)."""
+    previous: dict[signal.Signals, signal._HANDLER] = {}
+    if threading.current_thread() is threading.main_thread():
+        for each in _SIGNALS:
+            if each != signal.SIGHUP or signal.getsignal(each) is not signal.SIG_IGN:
+                previous[each] = signal.signal(each, handler)
+    try:
+        yield
+    finally:
+        for each, before in previous.items():
+            signal.signal(each, before)
+
+
+def _name(number: int) -> str:
+    """The name of a signal."""
+    return signal.Signals(number).name
 
 
 @contextmanager
@@ -152,17 +154,13 @@ def run(program: str, job: Callable[[], int], *, own: bool = True) -> int:
         The exit code of ``job``; 2 for wrong use; 1 for another error, and after Ctrl-C; 128 and
         the number of another signal: 143 after SIGTERM.
     """
-    if any(each.startswith("error") for each in sys.warnoptions):
-        # PYTHONWARNINGS=error is meant for tests: what a library deprecates ends no process.
-        os.environ["PYTHONWARNINGS"] = "default"
-        warnings.simplefilter("default")
-    with Stop(at_once=True) as stop, _hooks(program):
+    with _handled_by(_interrupt), _hooks(program):
         try:
             code = job()
         except SystemExit:
             raise
         except BaseException as error:  # noqa: BLE001 (every error is reported here)
-            code = _report(program, error, stop.number)
+            code = _report(program, error)
     if own and threading.current_thread() is threading.main_thread():
         for each in _SIGNALS:  # Python's own handler would show a traceback
             signal.signal(each, signal.SIG_DFL)
@@ -226,7 +224,7 @@ def _extension(error: BaseException) -> type | None:
     return None
 
 
-def _report(program: str, error: BaseException, number: int | None) -> int:
+def _report(program: str, error: BaseException) -> int:
     """Write why a process ends, and return the exit code."""
     if os.environ.get(TRACEBACK):
         traceback.print_exception(error)
@@ -234,18 +232,14 @@ def _report(program: str, error: BaseException, number: int | None) -> int:
         # The reader of our output has closed the pipe; Python would report the error at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    by_user = number in (None, signal.SIGINT)
-    code, words = 1, one_line(error)
+    if isinstance(error, KeyboardInterrupt):
+        error = error if isinstance(error, Interrupt) else Interrupt(signal.SIGINT)
+        _say(f"{program}: {printable(str(error))}")
+        return 1 if error.number == signal.SIGINT else 128 + error.number
+    _say(f"{program}: {one_line(error)}")
     if isinstance(error, ImpactObserverError):
-        code = error.exit_code
-    elif isinstance(error, OSError) and error.errno in _OF_THE_NAME:
-        code = 2
-    elif isinstance(error, KeyboardInterrupt) or number is not None:
-        how = "interrupted" if by_user else f"ended by {signal.Signals(number or 0).name}"
-        done = map(str, error.args) if isinstance(error, KeyboardInterrupt) else ()
-        words = printable("; ".join([how, *done]))
-    _say(f"{program}: {words}")
-    return code if by_user else 128 + (number or 0)
+        return error.exit_code
+    return 2 if isinstance(error, OSError) and error.errno in _OF_THE_NAME else 1
 
 
 @contextmanager

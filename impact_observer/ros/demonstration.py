@@ -20,7 +20,7 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage
 from impact_observer.io.writer import BagWriter
-from impact_observer.process_end import Stop
+from impact_observer.process_end import Interrupt, Stop
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.parameters import TABLES, check
 from impact_observer.ros.qos import qos_profile
@@ -92,7 +92,8 @@ def run(
     Raises:
         UsageError: another plant runs on this ROS domain, a parameter is not allowed, or the
             folder cannot be created.
-        DemonstrationError: a process failed, or the run was interrupted.
+        DemonstrationError: a process failed.
+        Interrupt: a signal has come.
     """
     for each in (plant(setup), *observers(setup), *monitors(setup)):
         check(TABLES[each.executable], each.parameters)
@@ -122,7 +123,7 @@ def run(
                     elif time.monotonic() > last_message + _SILENCE:
                         raise DemonstrationError(f"plant: silent for {_SILENCE:g} s; see {logs}")
                 if stop.requested:
-                    raise DemonstrationError(f"interrupted; what was recorded is in {bag}")
+                    raise Interrupt(stop.number, f"what was recorded is in {bag}")
                 _check("plant", master, logs)
             _let_catch_up(executor, setup, progress)
             drain(executor, writer)
@@ -202,7 +203,7 @@ def _wait_for_connections(
         executor.spin_once(timeout_sec=_SPIN)
         _check_all(processes, logs)
         if stop.requested:
-            raise DemonstrationError("interrupted before the plant began")
+            raise Interrupt(stop.number, "the plant had not begun")
         if time.monotonic() > until:
             raise DemonstrationError(
                 f"{missing[0]}: not received after {_START_UP:g} s; does DDS work on this machine?"
