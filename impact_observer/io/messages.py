@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -339,48 +339,25 @@ def read_stamp(field: str, time: AnyMessage, earliest: int = 1) -> int:
     return stamp
 
 
-class MessageLimits(NamedTuple):
-    """Limits on the size of a message of impacts; an observer node has parameters of these names.
-
-    Attributes:
-        max_switches: contacts that switch in one event.
-        max_name: bytes of a contact's name.
-        max_frame: bytes of the name of its frame.
-    """
-
-    max_switches: int = 100
-    max_name: int = 256
-    max_frame: int = 4096
-
-    def check(self, message: AnyMessage) -> None:
-        """Raise unless an event is within the limits.
-
-        Raises:
-            MessageError: a limit is exceeded; the error names the limit.
-        """
-        longest = max((len(each.contact.encode()) for each in message.switches), default=0)
-        frame = len(message.header.frame_id.encode())
-        for name, number, most, what in (
-            ("max_switches", len(message.switches), self.max_switches, "switches"),
-            ("max_name", longest, self.max_name, "bytes in the name of a contact"),
-            ("max_frame", frame, self.max_frame, "bytes in the name of its frame"),
-        ):
-            if number > most:
-                raise MessageError(f"{number} {what}; {name} allows {most}")
+_MOST_SWITCHES, _LONGEST_NAME, _LONGEST_FRAME = 100, 256, 4096
+"""Most contacts of an event; longest name of a contact, and of the frame, bytes."""
 
 
-_LIMITS = MessageLimits()
-"""Default limits of nodes, and limits of all readers of bags."""
-
-
-def read_event(message: AnyMessage, limits: MessageLimits = _LIMITS) -> ImpactEvent:
+def read_event(message: AnyMessage) -> ImpactEvent:
     """The event in a message.
 
     Raises:
         MessageError: its stamp is not after 0, the kind of a switch is unknown, or it exceeds a
             limit.
     """
-    limits.check(message)
+    longest = max((len(each.contact.encode()) for each in message.switches), default=0)
+    for number, most, what in (
+        (len(message.switches), _MOST_SWITCHES, "switches"),
+        (longest, _LONGEST_NAME, "bytes in the name of a contact"),
+        (len(message.header.frame_id.encode()), _LONGEST_FRAME, "bytes in the name of its frame"),
+    ):
+        if number > most:
+            raise MessageError(f"{number} {what}; expected at most {most}")
     return ImpactEvent(
         stamp=read_stamp("ImpactEvent.header.stamp", message.header.stamp),
         switches=tuple(

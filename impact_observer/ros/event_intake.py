@@ -8,7 +8,7 @@ from itertools import chain, islice
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
-from impact_observer.io.messages import AnyMessage, MessageError, MessageLimits, read_event
+from impact_observer.io.messages import AnyMessage, MessageError, read_event
 from impact_observer.observer import Observer
 from impact_observer.ros.ahead_of_clock import AheadOfClock
 from impact_observer.stamps import NS_PER_S
@@ -63,7 +63,6 @@ class EventIntake:
         observer: Observer,
         now: Callable[[], int],
         future: int,
-        limits: MessageLimits,
         counts: Counter[str],
     ) -> None:
         """Apply events to ``observer`` that are at most ``future`` (ns) ahead of ``now()`` (ns).
@@ -72,12 +71,10 @@ class EventIntake:
             observer: takes the events.
             now: time of the node's clock, ns; 0 while there is none.
             future: how far ahead of the clock a stamp may be, ns.
-            limits: of the messages.
             counts: counter to add to.
         """
         self._observer = observer
         self._now, self._future = now, future
-        self._limits = limits
         self.counts = counts
         self._waiting: deque[WaitingEvent] = deque()
         self._come, self._stride = 0, 1
@@ -117,7 +114,7 @@ class EventIntake:
             Why the message cannot be used; empty if the event is kept.
         """
         try:
-            event = read_event(message, self._limits)
+            event = read_event(message)
         except MessageError as error:
             self.counts["invalid"] += 1
             return str(error)

@@ -21,7 +21,7 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import efforts_on
-from impact_observer.io.messages import AnyMessage, MessageLimits
+from impact_observer.io.messages import AnyMessage
 from impact_observer.model import read_model
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.observer import LARGEST_INNOVATION, Law, initial_state, make_observer
@@ -118,9 +118,8 @@ class ObserverNode(ManagedNode):
         self._diagnostics.inputs = self._inputs
         self._diagnostics.input_timeout = values.number("input_timeout")
         self._sensors = self._sensor_intake(options)
-        limits = MessageLimits(*(values.integer(each) for each in MessageLimits._fields))
         future = from_seconds(values.number("future"))
-        self.intake = EventIntake(self.observer, self.stamp_now, future, limits, self._counts)
+        self.intake = EventIntake(self.observer, self.stamp_now, future, self._counts)
         self._go_on = self.create_guard_condition(self._apply_events)
         name = interfaces.IMPACTS.name
         self._impacts = Receiver(self, name, self._on_impacts, event_callbacks=FOLLOWING)

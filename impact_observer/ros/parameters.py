@@ -115,11 +115,6 @@ OBSERVER = (
         live=AT_ONCE,
     ),
     _FUTURE,
-    Option("max_switches", 100, "most contacts that switch in one event", low=1, high=1_000_000),
-    Option("max_name", 256, "longest name of a contact", "bytes", low=1, high=1_000_000),
-    Option(
-        "max_frame", 4096, "longest name of the frame in a header", "bytes", low=0, high=1_000_000
-    ),
     _INPUT_TIMEOUT,
     _MEASUREMENTS,
     Option(

@@ -341,12 +341,12 @@ def test_received_constant_must_be_known() -> None:
 
 @pytest.mark.parametrize(
     ("limit", "switches"),
-    [("max_switches", (Switch("stop"),) * 101), ("max_name", (Switch("s" * 257),))],
+    [("switches", (Switch("stop"),) * 101), ("contact", (Switch("s" * 257),))],
 )
-def test_an_event_beyond_the_limits_of_nodes_is_refused_by_their_name(
+def test_an_event_of_too_many_contacts_or_too_long_a_name_is_refused(
     limit: str, switches: tuple[Switch, ...]
 ) -> None:
-    """The limits of observer nodes hold for readers of bags, too."""
+    """By nodes and by readers of bags."""
     message = m.bag_messages().event(ImpactEvent(1, switches))
-    with pytest.raises(m.MessageError, match=f"{limit} allows"):
+    with pytest.raises(m.MessageError, match=f"{limit}; expected at most"):
         m.read_event(message)

@@ -14,7 +14,7 @@ pytest.importorskip("impact_observer_msgs")
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
-from impact_observer.io.messages import AnyMessage, MessageLimits
+from impact_observer.io.messages import AnyMessage
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros import event_intake
@@ -60,7 +60,7 @@ class SlowObserver:
 def intake_of(observer: SlowObserver, monkeypatch: pytest.MonkeyPatch) -> EventIntake:
     """The intake of a slow observer, by the clock of the observer."""
     monkeypatch.setattr(event_intake, "time", observer)
-    return EventIntake(observer, lambda: LATER, NS_PER_S, MessageLimits(), Counter())  # type: ignore[arg-type]
+    return EventIntake(observer, lambda: LATER, NS_PER_S, Counter())  # type: ignore[arg-type]
 
 
 def message(number: int, apart: int = NS_PER_S) -> AnyMessage:
