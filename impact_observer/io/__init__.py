@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from impact_observer.io.interfaces import Quality
     from impact_observer.io.messages import EstimateError, JointState
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.writer import BagWriter, copy_topics
+    from impact_observer.io.writer import BagWriter
 
 _HOME = {
     "BagReader": "reader",
@@ -21,11 +21,10 @@ _HOME = {
     "EstimateError": "messages",
     "JointState": "messages",
     "Quality": "interfaces",
-    "copy_topics": "writer",
 }
 """Module of each public name."""
 
-__all__ = ["BagReader", "BagWriter", "EstimateError", "JointState", "Quality", "copy_topics"]
+__all__ = ["BagReader", "BagWriter", "EstimateError", "JointState", "Quality"]
 
 
 def __getattr__(name: str) -> object:

@@ -3,7 +3,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import final
@@ -14,7 +14,6 @@ from impact_observer import __version__
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io.bag_metadata import BagExtent, Topic, metadata, quality_text
 from impact_observer.io.interfaces import Quality, interface, usual_quality
-from impact_observer.io.reader import BagReader
 from impact_observer.io.typestores import add_definition, new_typestore
 from impact_observer.output_files import check_name, unwritable
 
@@ -248,32 +247,3 @@ class BagWriter:
         except OSError as error:
             reason = getattr(error, "strerror", None) or error
             raise BagError(f"{self.path}: cannot be written: {reason}") from error
-
-
-def copy_topics(
-    reader: BagReader, writer: BagWriter, topics: Collection[str] | None = None
-) -> int:
-    """Copy topics: serialized messages, log times, types and quality of service.
-
-    Args:
-        reader: the bag to copy from.
-        writer: the bag to copy to; its topics are declared.
-        topics: only these absolute names; None for all.
-
-    Returns:
-        The number of messages copied.
-
-    Raises:
-        UsageError: ``writer`` has one of the topics already.
-        BagError: a topic is missing, or one of the bags cannot be read or written.
-    """
-    messages = reader.raw(topics)
-    for topic in reader.topics if topics is None else topics:
-        info = reader.topics[topic]
-        writer.declare(
-            topic, type_name=info.type, quality=info.quality, definition=info.definition
-        )
-    before = writer.message_count
-    for message in messages:
-        writer.write_raw(*message)
-    return writer.message_count - before

@@ -16,8 +16,8 @@ from impact_observer.cli.main import main
 from impact_observer.compare.bag_comparison import BagComparison, compare_bag, labelled_by_law
 from impact_observer.compare.distance_picture import distance_picture
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import model_of
-from impact_observer.io.writer import BagWriter, copy_topics
+from impact_observer.io.recordings import carried_topics, model_of
+from impact_observer.io.writer import BagWriter
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,9 @@ def test_a_topic_of_another_package_can_be_compared(
     """The topic is given by name, beside an observer; the truth too may have another name."""
     other = tmp_path / "other"
     with BagReader(bag) as reader, BagWriter(other) as writer:
-        copy_topics(reader, writer)
+        topics, _ = carried_topics(reader, writer, ())
+        for raw in reader.raw(topics):
+            writer.write_raw(*raw)
         kind = "sensor_msgs/msg/JointState"
         for own, other_name in (
             ("/observer/joint_states", "/my_filter/states"),
