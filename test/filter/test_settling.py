@@ -106,17 +106,12 @@ def test_a_contact_of_unknown_speed_does_not_settle() -> None:
     assert settled(filter_, asked, vague, 0.0) is None
 
 
-@pytest.mark.parametrize(
-    ("name", "seed"),
-    [("three_mass", 29), ("three_mass", 51), ("random", 73), ("random", 236), ("random", 436)],
-)
-def test_without_a_rest_of_the_plant_the_covariance_explains_the_errors(
-    name: str, seed: int
-) -> None:
+@pytest.mark.parametrize("seed", [29, 51])
+def test_without_a_rest_of_the_plant_the_covariance_explains_the_errors(seed: int) -> None:
     """Where a contact were closed, NEES would be 1e3 to 3e5 times the number of states."""
-    found = nees_of_run(name, seed, 30)
-    assert found is not None
-    assert np.nanmax(found) < 10
+    found = nees_of_run(seed)
+    assert found.size > 10
+    assert np.max(found) < 10
 
 
 def test_the_rest_comes_when_all_bounces_are_over() -> None:
