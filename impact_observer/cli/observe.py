@@ -262,7 +262,7 @@ def late_lines(observer: "Observer") -> "Iterator[str]":
             side = "late" if value > 0 else "early"
             yield (
                 f"warning: stamps are {abs(value):.3g} s {side}, and no --clock-offset-error is"
-                " declared: a wrong epoch, phase, latency, or order of `between`?"
+                " declared"
             )
 
 

@@ -253,8 +253,8 @@ def check_size(
         excess = f"{count} estimates of {size / 1e9:.3g} GB; {folder} has {free / 1e9:.3g} GB free"
     if excess:
         raise UsageError(
-            f"{reader.path}: {excess}; they would go on until {text(int(stamps[-1]))} s: is that"
-            " stamp right (`impact-observer check`)? Otherwise lower --rate"
+            f"{reader.path}: {excess}; they would go on until {text(int(stamps[-1]))} s;"
+            " lower --rate"
         )
 
 

@@ -82,10 +82,7 @@ class EventUpdate:
         stamp = event.stamp - posterior.clock.late
         result = self.test.after_event(previous.synchronization, change, x, posterior)
         if not isfinite(result.energy):
-            raise DynamicsError(
-                f"at {text(stamp)} s: the estimate is not finite any more; is the declared"
-                " uncertainty too large, or the model another one?"
-            )
+            raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
         return Entry(
             event,
             stamp,

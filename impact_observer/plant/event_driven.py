@@ -259,7 +259,7 @@ class Plant:
         if self._instant_changes > _MOST:
             raise DynamicsError(
                 f"contacts {', '.join(self.system.contact_names)}: {_MOST} changes at stamp"
-                f" {text(instant.stamp)} s and no end; are some of them the same stop?"
+                f" {text(instant.stamp)} s and no end"
             )
 
     def _impact(self, instant: Instant, x: Vector, contacts: tuple[int, ...]) -> Switching:

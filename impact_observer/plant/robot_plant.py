@@ -200,5 +200,5 @@ class RobotPlant:
         if self._instant_changes > _MOST:
             raise DynamicsError(
                 f"contacts {', '.join(self.system.contact_names)}: {_MOST} changes at stamp"
-                f" {text(instant.stamp)} s and no end; are some of them the same plane?"
+                f" {text(instant.stamp)} s and no end"
             )

@@ -80,8 +80,7 @@ class RobotRest:
         if loads is None:
             names = ", ".join(repr(self._robot.contact_names[i]) for i in contacts)
             raise DynamicsError(
-                f"{self._robot.name}: contacts {names}: the loads that hold them cannot be found;"
-                " are their directions almost the same?"
+                f"{self._robot.name}: contacts {names}: the loads that hold them cannot be found"
             )
         away = rising + B.T @ (B @ loads)
         return tuple(

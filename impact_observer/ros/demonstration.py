@@ -205,9 +205,7 @@ def _wait_for_connections(
         if stop.requested:
             raise Interrupt(stop.number, "the plant had not begun")
         if time.monotonic() > until:
-            raise DemonstrationError(
-                f"{missing[0]}: not received after {_START_UP:g} s; does DDS work on this machine?"
-            )
+            raise DemonstrationError(f"{missing[0]}: not received after {_START_UP:g} s")
 
 
 def _let_catch_up(

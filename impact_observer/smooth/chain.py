@@ -190,8 +190,8 @@ def _corrected(mean: Vector, joint: Matrix, step: Step) -> tuple[Normal, Vector,
     white, row = linalg.lapack.dtrtrs(own, seen, lower=1)
     if row:
         raise DynamicsError(
-            "a stamp, gap or sample of the events: its innovation has the variance 0; expected"
-            " more: is a declared deviation or noise 0?"
+            "a stamp, gap or sample of the events: its innovation has the variance 0;"
+            " expected more"
         )
     sizes = np.abs(np.diag(own)) * math.sqrt(2 * math.pi)
     density = step.density - float(white.dot(white)) / 2 - float(np.sum(np.log(sizes)))

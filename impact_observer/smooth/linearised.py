@@ -53,8 +53,7 @@ def followed(x: Vector) -> Vector:
     """
     if not np.max(np.abs(x)) <= LARGEST_STATE:
         raise DynamicsError(
-            f"the motion through the events grows beyond {LARGEST_STATE:g} m or m/s: is the model"
-            " another one, or the declared start or clock error wrong?"
+            f"the motion through the events grows beyond {LARGEST_STATE:g} m or m/s"
         )
     return x
 

@@ -136,7 +136,7 @@ def smoothed_runs(
         )
         motions.append(each_run.motion(thorough=thorough))
     if not any(each.account.moments for each in motions):
-        raise BagError("no impact was applied: is it a recording of this model?")
+        raise BagError("no impact was applied")
     return motions
 
 

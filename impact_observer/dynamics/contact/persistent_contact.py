@@ -118,5 +118,5 @@ def _unsolved(phases: Phases, index: list[int]) -> DynamicsError:
     names = phases.system.contact_names
     return DynamicsError(
         f"contacts {', '.join(repr(names[i]) for i in index)}: the loads that hold them"
-        " cannot be found; are their directions almost the same?"
+        " cannot be found"
     )
