@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rig with a live force and a live ground: its samples, its plant, and a bag of both."""
+"""A rig with a live force on a ground that moves: its samples, its plant, and a bag of both."""
 
 from functools import cache
 from pathlib import Path
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 RIG = """\
 name: rig
 bodies:  [{name: x1, mass: 1}, {name: x2, mass: 2}]
-grounds: [{name: base, motion: {live: true}}]
+grounds: [{name: base, motion: {harmonics: [{amplitude: 0.1, frequency: 3}]}}]
 springs:
   - {between: [base, x1], stiffness: 10, damping: 0.3}
   - {between: [x1, x2], stiffness: 20, damping: 0.2}
@@ -40,42 +40,29 @@ def motor(t: float) -> float:
     return float(4 * np.cos(2.5 * t))
 
 
-def base(t: float) -> tuple[float, float]:
-    """Displacement and speed of the ground."""
-    return float(0.1 * np.cos(3 * t)), float(-0.3 * np.sin(3 * t))
-
-
-Sample = tuple[bool, int, float, float]
-"""Whether it is of the ground; stamp (ns), value, rate."""
+Sample = tuple[int, float]
+"""Stamp (ns) and value (N)."""
 
 
 @cache
 def samples(step: float = 1e-3) -> list[Sample]:
-    """Of both signals, in turns, from the epoch to the end."""
-    found: list[Sample] = []
-    for t in np.arange(0.0, SECONDS + step, step).tolist():
-        stamp = EPOCH + round(t * NS_PER_S)
-        found.append((False, stamp, motor(t), 0.0))
-        found.append((True, stamp, *base(t)))
-    return found
+    """From the epoch to the end."""
+    times = np.arange(0.0, SECONDS + step, step).tolist()
+    return [(EPOCH + round(t * NS_PER_S), motor(t)) for t in times]
 
 
 def give(live: LiveSignals | None, sample: Sample) -> str:
     """Add a sample."""
     assert live is not None
-    moves, stamp, value, rate = sample
-    if moves:
-        return live.add_motion("base", stamp, value, rate)
-    return live.add_force("motor", stamp, value)
+    return live.add_force("motor", *sample)
 
 
 @cache
 def simulated(pauses: int = 7) -> tuple[list[ImpactEvent], NDArray[np.int64], Array]:
-    """Events and states of a plant that gets so many samples of each signal at a time."""
+    """Events and states of a plant that gets so many samples at a time."""
     given = samples()
     system, live = connected(parse_model(RIG, "rig").system, causal=True)
-    for sample in given[:2]:
-        give(live, sample)
+    give(live, given[0])
     plant = make_plant(system, *START, epoch=EPOCH, live=live)
     assert isinstance(plant, Plant)
     events: list[ImpactEvent] = []
@@ -90,8 +77,8 @@ def simulated(pauses: int = 7) -> tuple[list[ImpactEvent], NDArray[np.int64], Ar
             states.append(plant.states(np.array([shown]))[0])
             shown += NS_PER_S // 100
 
-    for k in range(2, len(given), 2 * pauses):
-        for sample in given[k : k + 2 * pauses]:
+    for k in range(1, len(given), pauses):
+        for sample in given[k : k + pauses]:
             give(live, sample)
         until = plant.known_until
         while (switching := plant.next_switching(until)) is not None:
@@ -112,7 +99,7 @@ def arrivals() -> list[int]:
     """When each sample is received, ns: after 0.1 ms, or late."""
     late = np.random.default_rng(2).random(len(samples())) < 0.05
     return [
-        sample[1] + (LATE if is_late else 100_000)
+        sample[0] + (LATE if is_late else 100_000)
         for sample, is_late in zip(samples(), late.tolist(), strict=True)
     ]
 
@@ -126,11 +113,8 @@ def bag(path: Path) -> Path:
         (EPOCH, interfaces.PLANT_MODEL.topic, make.model(model.text()))
     ]
     messages += [(e.stamp, interfaces.IMPACTS.topic, make.event(e)) for e in events]
-    for at, (moves, stamp, value, rate) in zip(arrivals(), samples(), strict=True):
-        motion = JointState(stamp, ("base",), np.array([value]), np.array([rate]))
-        message = make.joint_state(motion) if moves else make.forces(stamp, {"motor": value})
-        topic = interfaces.GROUND_MOTION.topic if moves else interfaces.FORCING.topic
-        messages.append((at, topic, message))
+    for at, (stamp, value) in zip(arrivals(), samples(), strict=True):
+        messages.append((at, interfaces.FORCING.topic, make.forces(stamp, {"motor": value})))
     for stamp, x in zip(stamps.tolist(), states, strict=True):
         state = make.joint_state(JointState(stamp, names, x[:n], x[n:]))
         messages.append((stamp, interfaces.PLANT_JOINT_STATES.topic, state))

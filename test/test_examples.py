@@ -25,7 +25,7 @@ def test_every_example_is_on_the_page_and_has_its_picture() -> None:
     """A file, a picture, a paragraph."""
     page = (EXAMPLES / "README.md").read_text()
     names = {path.stem for path in EXAMPLES.glob("*.py")}
-    assert names == {*PICTURES, "blind_juggler", "serial_switch"}
+    assert names == {*PICTURES, "serial_switch"}
     for name in names:
         assert f"({name}.py)" in page
     for name in PICTURES:

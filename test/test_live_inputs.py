@@ -71,25 +71,14 @@ def test_samples_that_are_left_out_are_counted(tmp_path: Path) -> None:
     assert lines == [line]
     part = f"{lost} of 5001 messages on /forcing wholly or partly left out (10 %)"
     assert lost > 450
-    assert line == f"{part}: 'motor': nan and 0 found; expected finite numbers"
-
-
-@pytest.mark.slow
-def test_gaps_contain_the_recorded_motion_of_grounds(tmp_path: Path) -> None:
-    """The true gap of a stop on the live ground is never negative, and closes at its impacts."""
-    with BagReader(bag(tmp_path / "rig")) as reader:
-        system = with_recorded(reader, parse_model(RIG, "rig").system, EPOCH, print)
-        truth = reader.joint_states("/plant/joint_states", system.coordinates)
-    gaps = system.gaps_at(truth.stamps - EPOCH, np.hstack([truth.q, truth.u]))
-    least = gaps[:, system.contact_names.index("foot")].min()
-    assert -1e-4 < least < 0.02
+    assert line == f"{part}: 'motor': nan found; expected a finite number"
 
 
 @pytest.mark.ros
 def test_node_estimates_what_observe_does_with_samples_that_come_late(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Two thousand samples a second, a twentieth of them late: equal bits behind a lag."""
+    """A thousand samples a second, a twentieth of them late: equal bits behind a lag."""
     pytest.importorskip("impact_observer_msgs")
     from diagnostic_msgs.msg import DiagnosticArray
     from impact_observer_msgs.msg import ObserverState
@@ -125,7 +114,7 @@ def test_node_estimates_what_observe_does_with_samples_that_come_late(
         spinner.until(lambda: "observer" in probe.get_node_names())
         probe.create_subscription(JointState, "plant/joint_states", id, many)
         play = ["play", str(recorded), "--rate", "0.25", "--delay", "10", "--topics"]
-        topics = ["/impacts", "/plant/joint_states", "/forcing", "/ground_motion"]
+        topics = ["/impacts", "/plant/joint_states", "/forcing"]
         with running("impact_observer", [*play, *topics], ros_environment) as player:
             spinner.until(lambda: player.poll() is not None)
             assert player.returncode == 0, player.communicate()

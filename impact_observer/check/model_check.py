@@ -221,11 +221,10 @@ class _Spectrum:
         """Gaps under constant loads and largest amplitudes of the gaps, m, shape (m,) each.
 
         ``K q_0 = f_0``, and for each harmonic ``(K - omega^2 M + i omega C) q_k = f_k``. Grounds
-        that move are part of the forcing; a drive turns at its nominal frequency.
+        that move are part of the forcing.
         """
         system, forcing, W = self._system, self._system.forcing, self._system.W
-        live = system.live is not None and (system.live.inputs or system.live.grounds)
-        if forcing.sampled is not None or live:
+        if forcing.sampled is not None or system.live is not None:
             return np.full(system.m, np.nan), np.full(system.m, np.nan)
         elastic = self._shapes[:, self._r :] / self.undamped[self._r :]
         rest = system.q_r + W.T @ elastic @ (elastic.T @ forcing.constant)

@@ -43,8 +43,8 @@ SENSOR = Interface("switch", "std_msgs/msg/Bool")
 """The sensor of the sample ``config/detector/switch.yaml``."""
 ENCODER = Interface("encoder", interfaces.JOINT_STATE)
 """The sensor of the sample ``config/measurements/encoder.yaml``."""
-LIVE = (interfaces.FORCING, interfaces.GROUND_MOTION)
-"""Topics of a node whose model has live forces or grounds."""
+LIVE = (interfaces.FORCING,)
+"""Topics of a node whose model has live forces."""
 NODES = {
     "plant": Access(
         (

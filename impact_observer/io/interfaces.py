@@ -160,7 +160,6 @@ def _is_of(kind: str, owner: str) -> bool:
 
 IMPACTS = Interface("impacts", IMPACT_EVENT, EVENTS)
 FORCING = Interface("forcing", JOINT_STATE, INPUTS)
-GROUND_MOTION = Interface("ground_motion", JOINT_STATE, INPUTS)
 PHASE_REFERENCE = Interface("phase_reference", HEADER, EVENTS)
 PLANT_JOINT_STATES = Interface("plant/joint_states", JOINT_STATE)
 PLANT_MODEL = Interface("plant/model", STRING, LATCHED)
@@ -182,7 +181,6 @@ NOT_SYNCHRONIZED = "not synchronized"
 INTERFACES = (
     IMPACTS,
     FORCING,
-    GROUND_MOTION,
     PHASE_REFERENCE,
     PLANT_JOINT_STATES,
     PLANT_MODEL,
@@ -198,7 +196,7 @@ INTERFACES = (
     SIMULATED_CLOCK,
     DIAGNOSTIC_ARRAYS,
 )
-WHOLE = (PLANT_MODEL, FORCING, GROUND_MOTION, PHASE_REFERENCE)
+WHOLE = (PLANT_MODEL, FORCING, PHASE_REFERENCE)
 """Topics that are read whole where a part of a bag is: what holds, or drives, from before on."""
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of live forces and grounds, and the pulse that is the epoch, in messages and in bags."""
+"""Samples of live forces, and the pulse that is the epoch, in messages and in bags."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -15,46 +15,40 @@ from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, connected
 from impact_observer.plain_text import part_left_out
 
-LIVE_TOPICS = (interfaces.FORCING, interfaces.GROUND_MOTION)
+LIVE_TOPICS = (interfaces.FORCING,)
 _DEPTH = 2000
 """Messages with efforts that may wait: those of 2 s at 1 kHz."""
 
 
 class LiveSample(NamedTuple):
-    """A sample of an input or of a ground.
+    """A sample of an input.
 
     Attributes:
-        name: of the input or ground.
+        name: of the input.
         stamp: time of validity, ns.
-        value: N, or m.
-        rate: m/s of a ground; 0 of an input.
+        value: N.
     """
 
     name: str
     stamp: int
     value: float
-    rate: float
 
 
-def read_samples(message: AnyMessage, *, moves: bool) -> list[LiveSample]:
-    """The samples in a ``sensor_msgs/JointState``: of forces, or with ``moves`` of grounds.
+def read_samples(message: AnyMessage) -> list[LiveSample]:
+    """The samples of forces in a ``sensor_msgs/JointState``.
 
     Raises:
         MessageError: a stamp that is none, or numbers that are not as many as names.
     """
     stamp = read_stamp("JointState.header.stamp", message.header.stamp)
-    fields = ("position", "velocity") if moves else ("effort",)
-    for each in fields:
-        if len(getattr(message, each)) != len(message.name):
-            raise MessageError(
-                f"JointState.{each}: {len(getattr(message, each))} numbers for"
-                f" {len(message.name)} names; expected one each"
-            )
-    rates = message.velocity if moves else [0.0] * len(message.name)
-    values = getattr(message, fields[0])
+    if len(message.effort) != len(message.name):
+        raise MessageError(
+            f"JointState.effort: {len(message.effort)} numbers for {len(message.name)} names;"
+            " expected one each"
+        )
     return [
-        LiveSample(str(name), stamp, float(value), float(rate))
-        for name, value, rate in zip(message.name, values, rates, strict=True)
+        LiveSample(str(name), stamp, float(value))
+        for name, value in zip(message.name, message.effort, strict=True)
     ]
 
 
@@ -72,11 +66,10 @@ def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage
 
     Of another topic than the ``LIVE_TOPICS``, which has efforts of joints, others are left out.
     """
-    moves = interface is interfaces.GROUND_MOTION
     try:
         problems = [
-            live.add_motion(*each) if moves else live.add_force(*each[:3])
-            for each in read_samples(message, moves=moves)
+            live.add_force(*each)
+            for each in read_samples(message)
             if interface in LIVE_TOPICS or each.name in live.inputs
         ]
     except MessageError as error:
@@ -157,7 +150,7 @@ def with_recorded(
     epoch: int,
     warn: Callable[[str], object] = lambda _: None,
 ) -> System:
-    """The ``system`` with the live forces and grounds that a bag has.
+    """The ``system`` with the live forces that a bag has.
 
     Args:
         reader: the bag.

@@ -178,7 +178,7 @@ def _forcing(
 ) -> tuple[Forcing, LiveNames | None]:
     """``f(t)``, and the names of live forces and grounds; None where the model has none."""
     forcing, inputs = _sum(line, document.items("forces"))
-    live = live_names(inputs, line.motions.live, line.n)
+    live = live_names(inputs, line.n)
     if "forcing" not in document:
         return forcing, live
     section = Section("forcing", document.value("forcing"), sampled_files.KEYS)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 GONE = {
     "friction": "dry friction of guides",
+    "grounds.motion.live": "a ground whose motion arrives live",
     "forces.order": "the drive whose index pulses tell a force's phase",
     "forcing.harmonics.order": "the drive whose index pulses tell a force's phase",
     **{
@@ -21,7 +22,7 @@ GONE = {
     "measurements.gain": "the use of samples by laws without covariance",
 }
 """What each key was for, by its place without indices, such as ``stops.gap``."""
-_INSTEAD = {"restitution": 0.0}
+_INSTEAD: dict[str, object] = {"restitution": 0.0, "motion": {"harmonics": []}}
 """What stands where all keys of a mapping went, for the comparison of states."""
 
 

@@ -17,7 +17,7 @@ from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import Grounds, LiveNames, motion_of
 from impact_observer.states import Matrix, Vector
 
-KINDS = ("harmonics", "sampled", "live")
+KINDS = ("harmonics", "sampled")
 _DISPLACEMENT = "displacement"
 Harmonic: TypeAlias = tuple[int, float, float, float]
 """Ground, amplitude (m), frequency (rad/s) and phase (rad)."""
@@ -31,14 +31,12 @@ class GroundMotions:
         names: of the grounds.
         harmonics: of their motions.
         samples: displacements of the sampled grounds, k columns; None without such grounds.
-        live: names of the grounds whose motion arrives live.
         written: the value of the key ``grounds`` with all tables written out.
     """
 
     names: tuple[str, ...] = ()
     harmonics: tuple[Harmonic, ...] = ()
     samples: Samples | None = None
-    live: tuple[str, ...] = ()
     written: tuple[Mapping[str, Value], ...] = ()
 
     def unit(self, name: Value) -> Vector:
@@ -68,21 +66,12 @@ def read_grounds(document: Section, taken: Sequence[str], folder: Path | None) -
             raise ModelError(item.key("name"), f"{name!r} is taken already; names must differ")
         names.append(name)
     harmonics: list[Harmonic] = []
-    live: list[str] = []
     sampled: Samples | None = None
     written: list[Mapping[str, Value]] = []
     for k, item in enumerate(items):
         motion = Section(item.key("motion"), item.value("motion"), KINDS)
         if sum(kind in motion for kind in KINDS) != 1:
             raise ModelError(item.key("motion"), f"expected one of {', '.join(KINDS)}")
-        if "live" in motion:
-            if motion.value("live") is not True:
-                raise ModelError(
-                    motion.key("live"), f"{motion.value('live')!r} found; expected true"
-                )
-            live.append(names[k])
-            written.append({"name": names[k], "motion": {"live": True}})
-            continue
         if "harmonics" in motion:
             harmonics += _harmonics(k, motion)
             written.append({"name": names[k], "motion": {"harmonics": motion.value("harmonics")}})
@@ -92,7 +81,7 @@ def read_grounds(document: Section, taken: Sequence[str], folder: Path | None) -
         sampled = spline if sampled is None else sampled.plus(spline)
         text = sampled_files.csv_text(table, (_DISPLACEMENT,))
         written.append({"name": names[k], "motion": {"sampled": text}})
-    return GroundMotions(tuple(names), tuple(harmonics), sampled, tuple(live), tuple(written))
+    return GroundMotions(tuple(names), tuple(harmonics), sampled, tuple(written))
 
 
 def _harmonics(ground: int, motion: Section) -> Iterator[Harmonic]:
@@ -121,14 +110,13 @@ def _clamped(key: str, table: Matrix) -> Samples:
 
 def live_names(
     inputs: Sequence[tuple[str, Vector]],
-    grounds: tuple[str, ...],
     n: int,
 ) -> LiveNames | None:
     """The live signals of a model, None without any; directions of equal input names add up."""
     names = tuple(dict.fromkeys(name for name, _ in inputs))
-    if not (names or grounds):
+    if not names:
         return None
     directions = np.zeros((n, len(names)))
     for name, direction in inputs:
         directions[:, names.index(name)] += direction
-    return LiveNames(names, directions, grounds)
+    return LiveNames(names, directions)

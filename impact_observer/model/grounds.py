@@ -13,7 +13,6 @@ package computes in this frame. Initial states, messages and files have the coor
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +23,6 @@ from impact_observer.model.forcing import Forcing
 from impact_observer.states import Matrix, Vector, frozen
 
 
-class Displacements(Protocol):
-    """The displacements of live grounds."""
-
-    grounds: tuple[str, ...]
-
-    def displacements(self, ns: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
-        """Displacements and speeds at instants, ns since the epoch, (samples, grounds) each."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveNames:
     """The signals of a model that arrive live.
@@ -40,12 +30,10 @@ class LiveNames:
     Attributes:
         inputs: names of forces.
         directions: of the coordinates by unit forces, shape (n, inputs).
-        grounds: names of grounds.
     """
 
     inputs: tuple[str, ...]
     directions: Matrix
-    grounds: tuple[str, ...]
 
 
 _UNSOLVED = 1e-9
@@ -108,7 +96,6 @@ class MovingFrame:
         grounds: the moving grounds.
         forcing: ``f(t)`` of the model without the effects of the grounds.
         shift: ``E`` of ``q = p + E s(t)``, shape (n, k).
-        live: the displacements of live grounds; None if live grounds rest.
         angles: angles of the harmonics of the grounds. Derived.
         gap_reach: largest motion of each contact by the grounds, m, shape (m,). Derived.
     """
@@ -116,7 +103,6 @@ class MovingFrame:
     grounds: Grounds
     forcing: Forcing
     shift: Matrix
-    live: Displacements | None = None
     angles: Angles = field(init=False)
     gap_reach: Vector = field(init=False)
 
@@ -154,10 +140,6 @@ class MovingFrame:
         if motion.sampled is not None:
             jets = motion.sampled.derivatives(np.asarray(ns * 1e-9))
             s, speed = s + jets[0], speed + jets[1]
-        if self.live is not None:
-            which = [self.grounds.names.index(name) for name in self.live.grounds]
-            for total, part in zip((s, speed), self.live.displacements(ns), strict=True):
-                total[:, which] += part
         return s, speed
 
     def states(self, ns: NDArray[np.int64]) -> Matrix:

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces and grounds that are known by samples that arrive live, in any order.
+"""Forces that are known by samples that arrive live, in any order.
 
-A force is constant from each sample to the next. A ground moves by cubic Hermite polynomials from
-sample to sample. Before the first sample the ground rests at the position of the first sample, and
-after the last sample the ground keeps the last speed.
-All signals are functions of the samples alone, not of the order or time of their arrival.
+A force is constant from each sample to the next, and zero before the first sample. All signals are
+functions of the samples alone, not of the order or time of their arrival.
 """
 
 from bisect import bisect_left, bisect_right
@@ -18,11 +16,11 @@ from numpy.typing import NDArray
 
 from impact_observer.errors import UsageError
 from impact_observer.model.document import LARGEST
-from impact_observer.model.force_samples import JETS, shifted
+from impact_observer.model.force_samples import JETS
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.live_samples import NEVER, LiveSamples
 from impact_observer.model.system import System
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 _NS = 1e-9
 _FEW = 8
@@ -33,44 +31,20 @@ _OFTEN = 1000
 
 @dataclass(slots=True)
 class _Signal:
-    """The samples of one input or ground, by stamp."""
+    """The samples of one input, by stamp."""
 
     name: str
-    moves: bool
     stamps: list[int]
     values: list[float]
-    rates: list[float]
-
-    def jets(self, at: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Value and three derivatives just after stamps (ns, ascending), shape (4, samples)."""
-        jets = np.zeros((JETS, at.size))
-        if not self.stamps or not at.size:
-            return jets
-        first = max(bisect_right(self.stamps, int(at[0])) - 1, 0)
-        last = bisect_right(self.stamps, int(at[-1])) + 1
-        stamps = np.array(self.stamps[first:last])
-        value, rate = (np.array(x[first:last]) for x in (self.values, self.rates))
-        k = np.searchsorted(stamps, at, side="right") - 1
-        before = k < 0
-        if not self.moves:
-            jets[0] = np.where(before, 0.0, value[k])
-            return jets
-        k = np.maximum(k, 0)
-        starts = np.stack([value, rate, 0 * value, 0 * value])
-        if value.size > 1:
-            h = np.diff(stamps) * _NS
-            chord = np.diff(value) / h
-            starts[2, :-1] = (6 * chord - 4 * rate[:-1] - 2 * rate[1:]) / h
-            starts[3, :-1] = (6 * rate[:-1] + 6 * rate[1:] - 12 * chord) / h**2
-        jets = shifted(starts[:, k, None], (at - stamps[k]) * _NS)[..., 0]
-        jets[:, before] = 0.0
-        jets[0, before] = value[0]
-        return np.asarray(jets)
 
     def held(self, at: NDArray[np.int64]) -> Sequence[float] | Vector:
         """The values of a force just after stamps ``at`` (ns, ascending), shape (samples,)."""
-        if at.size > _FEW:
-            return np.asarray(self.jets(at)[0])
+        if at.size > _FEW and self.stamps:
+            first = max(bisect_right(self.stamps, int(at[0])) - 1, 0)
+            last = bisect_right(self.stamps, int(at[-1])) + 1
+            values = np.array(self.values[first:last])
+            k = np.searchsorted(np.array(self.stamps[first:last]), at, side="right") - 1
+            return np.where(k < 0, 0.0, values[k])
         before = (bisect_right(self.stamps, stamp) for stamp in at.tolist())
         return [self.values[k - 1] if k else 0.0 for k in before]
 
@@ -81,15 +55,13 @@ class _Received(NamedTuple):
     signal: int
     stamp: int
     value: float
-    rate: float
 
 
 class LiveSignals:
-    """The live inputs and grounds of one user of a system.
+    """The live inputs of one user of a system.
 
     Attributes:
         inputs: names of the live forces.
-        grounds: names of the live grounds.
         samples: the forces by all live signals, and the known samples of forces.
         late: number of samples that came too late to be used.
     """
@@ -104,19 +76,11 @@ class LiveSignals:
         """
         live = system.live
         assert live is not None, "the system has live signals"
-        self.inputs, self.grounds = live.inputs, live.grounds
-        self._signals = [
-            *(_Signal(name, False, [], [], []) for name in live.inputs),
-            *(_Signal(name, True, [], [], []) for name in live.grounds),
-        ]
-        self._index = {(each.name, each.moves): k for k, each in enumerate(self._signals)}
-        responses = _responses(system)
-        drives = np.any(responses != 0, axis=(0, 1))
-        self._held = responses[: len(self.inputs), 0]
-        self._responses = [
-            [(order, each[order]) for order in np.flatnonzero(each.any(axis=1)).tolist()]
-            for each in responses
-        ]
+        self.inputs = live.inputs
+        self._signals = [_Signal(name, [], []) for name in live.inputs]
+        self._index = {each.name: k for k, each in enumerate(self._signals)}
+        drives = np.any(live.directions != 0, axis=1)
+        self._held = live.directions.T
         self._base = system.forcing.sampled
         self._causal = causal
         self.samples = LiveSamples(self._base, drives, -np.inf if causal else np.inf)
@@ -129,7 +93,7 @@ class LiveSignals:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of inputs, then of grounds, in the order of ``newest``."""
+        """Names of inputs, in the order of ``newest``."""
         return tuple(each.name for each in self._signals)
 
     @property
@@ -153,30 +117,23 @@ class LiveSignals:
         Returns:
             A sentence why the sample is not used; empty for a used sample.
         """
-        return self._add((name, False), stamp, value, 0.0)
-
-    def add_motion(self, name: str, stamp: int, position: float, velocity: float) -> str:
-        """Take a sample of a ground, in m and m/s; stamp and return value as ``add_force``."""
-        return self._add((name, True), stamp, position, velocity)
-
-    def _add(self, key: tuple[str, bool], stamp: int, value: float, rate: float) -> str:
-        k = self._index.get(key)
+        k = self._index.get(name)
         if k is None:
-            known = ", ".join(self.grounds if key[1] else self.inputs) or "none"
-            return f"{key[0]!r} is not known; expected some of {known}"
-        if not (isfinite(value) and isfinite(rate) and max(abs(value), abs(rate)) <= LARGEST):
-            return f"{key[0]!r}: {value:g} and {rate:g} found; expected finite numbers"
+            known = ", ".join(self.inputs) or "none"
+            return f"{name!r} is not known; expected some of {known}"
+        if not (isfinite(value) and abs(value) <= LARGEST):
+            return f"{name!r}: {value:g} found; expected a finite number"
         if self._causal and stamp <= self._newest[k]:
             self.late += 1
-            return f"{key[0]!r}: its stamp is not after that of the sample before"
+            return f"{name!r}: its stamp is not after that of the sample before"
         self._newest[k] = max(self._newest[k], stamp)
-        self._pending.append(_Received(k, stamp, value, rate))
+        self._pending.append(_Received(k, stamp, value))
         return ""
 
     def clear(self) -> None:
         """Forget all samples."""
         for each in self._signals:
-            each.stamps, each.values, each.rates = [], [], []
+            each.stamps, each.values = [], []
         self._newest = [0] * len(self._signals)
         self._pending.clear()
         self._epoch, self._least = None, NEVER
@@ -211,10 +168,7 @@ class LiveSignals:
             return None  # the first sample of a stamp counts
         signal.stamps.insert(index, sample.stamp)
         signal.values.insert(index, sample.value)
-        signal.rates.insert(index, sample.rate)
-        if not signal.moves:
-            return sample.stamp
-        return signal.stamps[index - 1] if index else NEVER
+        return sample.stamp
 
     def _rebuild(self, epoch: int, changed: int, stamps: Sequence[int]) -> None:
         """Compute the samples of forces from ``changed`` (ns) on."""
@@ -246,25 +200,8 @@ class LiveSignals:
         total = np.zeros((JETS, at.size, self.samples.drives.size))
         if self._base is not None:
             total += self._base.derivatives(np.asarray((at - epoch) * _NS), slack=_NS)
-        if forces := self._signals[: len(self.inputs)]:
-            total[0] += np.array([each.held(at) for each in forces]).T @ self._held
-        for k, signal in enumerate(self._signals[len(self.inputs) :], len(self.inputs)):
-            jets = signal.jets(at)[..., None]
-            for order, response in self._responses[k]:
-                total[: JETS - order] += jets[order:] * response
+        total[0] += np.array([each.held(at) for each in self._signals]).T @ self._held
         return total
-
-    def displacements(self, ns: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
-        """Displacements and speeds of the live grounds, shape (samples, grounds) each.
-
-        ``ns`` are nanoseconds since the epoch, shape (samples,).
-        """
-        assert self._epoch is not None, "followed"
-        order = np.argsort(ns, kind="stable")
-        motion = np.zeros((2, ns.size, len(self.grounds)))
-        for k, signal in enumerate(self._signals[len(self.inputs) :]):
-            motion[:, order, k] = signal.jets(ns[order] + self._epoch)[:2]
-        return motion[0], motion[1]
 
     def forget_before(self, stamp: int) -> None:
         """Forget samples that are not needed from ``stamp`` (ns) on, many at a time."""
@@ -276,22 +213,7 @@ class LiveSignals:
         del self._knots[:old]
         for each in self._signals:
             gone = max(bisect_right(each.stamps, self._least) - 1, 0)
-            del each.stamps[:gone], each.values[:gone], each.rates[:gone]
-
-
-def _responses(system: System) -> NDArray[np.float64]:
-    """Forces by the value, first and second derivative of each signal, (signals, 3, n)."""
-    live, frame = system.live, system.frame
-    assert live is not None, "the system has live signals"
-    responses = np.zeros((len(live.inputs) + len(live.grounds), 3, system.n))
-    responses[: len(live.inputs), 0] = live.directions.T
-    for k, name in enumerate(live.grounds, len(live.inputs)):
-        assert frame is not None, "a live ground is one of the frame's"
-        i, E = frame.grounds.names.index(name), frame.shift
-        responses[k, 0] = (frame.grounds.stiffness - system.K @ E)[:, i]
-        responses[k, 1] = (frame.grounds.damping - system.C @ E)[:, i]
-        responses[k, 2] = -(system.M @ E)[:, i]
-    return responses
+            del each.stamps[:gone], each.values[:gone]
 
 
 def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSignals | None]:
@@ -299,15 +221,14 @@ def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSign
     if system.live is None:
         return system, None
     signals = LiveSignals(system, causal=causal)
-    frame = None if system.frame is None else replace(system.frame, live=signals)
     forcing: Forcing = replace(system.forcing, sampled=signals.samples)
-    return replace(system, forcing=forcing, frame=frame), signals
+    return replace(system, forcing=forcing), signals
 
 
 def refused(system: System, what: str) -> None:
-    """Raise UsageError where a ``system`` has live forces or grounds; ``what`` cannot use them."""
-    if system.live is not None and (names := (*system.live.inputs, *system.live.grounds)):
+    """Raise UsageError where a ``system`` has live forces, which ``what`` cannot use."""
+    if system.live is not None:
         raise UsageError(
-            f"{system.name}: known only live: {', '.join(names)}, which {what} cannot use;"
-            " expected forces and grounds that are harmonic or sampled"
+            f"{system.name}: known only live: {', '.join(system.live.inputs)}, which {what} cannot"
+            " use; expected forces that are harmonic or sampled"
         )

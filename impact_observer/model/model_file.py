@@ -274,7 +274,7 @@ def _forcing_of(system: System) -> Value:
                 grounds.names, grounds.stiffness.T, grounds.damping.T, strict=True
             )
         ]
-    if system.live is not None and system.live.inputs:
+    if system.live is not None:
         inputs = zip(system.live.inputs, system.live.directions.T.tolist(), strict=True)
         document["inputs"] = [{"name": name, "direction": each} for name, each in inputs]
     return document
@@ -555,7 +555,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     if motions.names:
         moving = np.reshape(factors, (-1, len(motions.names)))
         system = moving_system(system, motions.grounds(*pushed, moving))
-    return replace(system, live=live_names(inputs, motions.live, n))
+    return replace(system, live=live_names(inputs, n))
 
 
 def _forcing(

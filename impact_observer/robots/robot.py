@@ -156,7 +156,7 @@ class Robot:
         """The efforts that arrive live, by joint; None if efforts count as zero."""
         if self.description.forces is None:
             return None
-        return LiveNames(self.coordinates, np.eye(self.n), ())
+        return LiveNames(self.coordinates, np.eye(self.n))
 
     @property
     def depends_on_time(self) -> bool:

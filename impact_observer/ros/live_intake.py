@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of a node to live forces, efforts and grounds of its model, and to its epoch."""
+"""Subscriptions of a node to live forces and efforts of its model, and to its epoch."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -64,7 +64,6 @@ class LiveIntake:
         self._ahead = AheadOfClock[tuple[Interface, AnyMessage]](_MOST_AHEAD)
         for interface, is_needed in (
             (efforts or interfaces.FORCING, live is not None and live.inputs and subscribes),
-            (interfaces.GROUND_MOTION, live is not None and live.grounds),
             (interfaces.PHASE_REFERENCE, on_pulse),
         ):
             if is_needed:

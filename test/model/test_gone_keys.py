@@ -20,6 +20,10 @@ FRICTION = "friction: [{name: guide, between: [ground, x1], force: 0.1}]\n"
 TABLE = "{speeds: [1, 3], values: [0.7, 0.5]}"
 CASES = {
     "friction": (TEXT + FRICTION, "dry friction"),
+    "grounds[0].motion.live": (
+        TEXT + "grounds: [{name: table, motion: {live: true}}]\n",
+        "a ground whose motion",
+    ),
     "forces[0].order": (TEXT.replace("frequency: 2.5", "order: 1, frequency: 2.5"), "the drive"),
     "stops[0].contact_time": (TEXT.replace("0.7}", "0.7, contact_time: 0.01}"), "the duration"),
     "stops[0].velocity_offset": (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces and grounds that are known only live: in the plant causal, in the observer by stamp."""
+"""Forces that are known only live: in the plant causal, in the observer by stamp."""
 
 from dataclasses import replace
 
@@ -33,12 +33,11 @@ def test_plant_does_not_depend_on_how_samples_are_grouped() -> None:
 
 
 def test_plant_under_live_signals_is_that_of_the_functions_they_sample() -> None:
-    """A ground by Hermite polynomials, exact to the fourth order; a force that is held."""
-    text = RIG.replace("live: true", "harmonics: [{amplitude: 0.1, frequency: 3}]")
+    """A force that is held."""
     held = np.arange(0.0, SECONDS + 1e-3, 1e-3)
     rows = "".join(f"    {t!r},{motor(t)!r}\n" for t in held.tolist())
     table = f"forcing:\n  hold: previous\n  sampled: |\n    time,x2\n{rows}"
-    text = text.replace("{body: x2, input: motor}, ", "") + table
+    text = RIG.replace("{body: x2, input: motor}, ", "") + table
     known = parse_model(text, "rig").system
     plant, impacts = Plant(known, *START, epoch=EPOCH), list[int]()
     while (switching := plant.next_switching(EPOCH + round(SECONDS * NS_PER_S))) is not None:
@@ -94,7 +93,7 @@ def test_estimates_are_those_of_all_samples_whatever_came_when(law: str) -> None
 
 @pytest.mark.slow
 def test_sensors_beside_live_forces_see_what_the_plant_does() -> None:
-    """An encoder and an accelerometer on a live ground; forces late, and all else in any order."""
+    """An encoder and an accelerometer on a moving ground; forces late, all else in any order."""
     events, stamps, states = simulated()
     system = parse_model(RIG, "rig").system
     sensors = (
@@ -145,7 +144,7 @@ def test_old_samples_are_forgotten() -> None:
     for observer in (short, whole):
         waiting = list(events)
         for sample in given:
-            while waiting and waiting[0].stamp <= sample[1]:
+            while waiting and waiting[0].stamp <= sample[0]:
                 observer.receive(waiting.pop(0))
             give(observer.live, sample)
     assert short.live is not None
@@ -171,9 +170,9 @@ def test_samples_without_any_event_do_not_fill_the_memory(
         for k, sample in enumerate(samples()):
             give(observer.live, sample)
             if k % 500 == 0:
-                observer.estimate(sample[1])
+                observer.estimate(sample[0])
                 if observer is bounded:
-                    observer.forget_silence(sample[1])
+                    observer.forget_silence(sample[0])
     assert bounded.live is not None
     assert whole.live is not None
     assert bounded.live.samples.time.size < 3100 < whole.live.samples.time.size
@@ -196,9 +195,8 @@ def test_samples_without_any_event_do_not_fill_the_memory(
 @pytest.mark.parametrize(
     ("sample", "line"),
     [
-        (("motor", 1, np.nan), "'motor': nan and 0 found; expected finite numbers"),
+        (("motor", 1, np.nan), "'motor': nan found; expected a finite number"),
         (("engine", 1, 1.0), "'engine' is not known; expected some of motor"),
-        (("base", 1, 1.0), "'base' is not known; expected some of motor"),
     ],
 )
 def test_sample_that_cannot_be_used_is_named(sample: tuple[str, int, float], line: str) -> None:
@@ -212,7 +210,7 @@ def test_sample_that_cannot_be_used_is_named(sample: tuple[str, int, float], lin
 def test_who_has_no_signals_refuses_the_model() -> None:
     """One line names what arrives live."""
     system = parse_model(RIG, "rig").system
-    line = "rig: known only live: motor, base, which a plant without signals cannot use"
+    line = "rig: known only live: motor, which a plant without signals cannot use"
     with pytest.raises(UsageError, match=line):
         Plant(system, *START, epoch=EPOCH)
     with pytest.raises(UsageError, match="which the integrator moreau cannot use"):

@@ -60,18 +60,18 @@ def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
     forcing = model.forcing.added(Forcing.of_samples(Samples.of_jets(np.arange(3.0), jets)))
     model = replace(model, contacts=contacts, forcing=forcing)
     shift, stiffness, damping = (np.array([draw(vectors(2)) for _ in range(n)]) for _ in range(3))
-    motion = motion_of(2, [(0, draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0)), 1.0)])
+    harmonics = [(k, draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0)), 1.0) for k in (0, 1)]
+    motion = motion_of(2, harmonics)
     factors = -(model.W.T @ shift)
     model = moving_system(
-        model, Grounds(("shaken", "steered"), motion, (0,), stiffness, damping, factors)
+        model, Grounds(("shaken", "steered"), motion, (0, 1), stiffness, damping, factors)
     )
     push = draw(vectors(n))[:, None]
-    live = LiveNames(("motor",), push, ("steered",))
+    live = LiveNames(("motor",), push)
     found, signals = connected(replace(model, live=live))
     assert signals is not None
     for stamp in draw(stamps(times, 4)):
         signals.add_force("motor", stamp, draw(numbers()))
-        signals.add_motion("steered", stamp, draw(numbers(-0.5, 0.5)), draw(numbers(-1.0, 1.0)))
     signals.follow(EPOCH)
     return found
 

@@ -22,7 +22,7 @@ OPTIONAL = {"/clock"}
 LIVE_MODEL = """\
 name: live
 bodies: [{name: x, mass: 1}]
-grounds: [{name: table, motion: {live: true}}]
+grounds: [{name: table, motion: {harmonics: [{amplitude: 0.1, frequency: 3}]}}]
 forces: [{body: x, input: motor}, {body: x, amplitude: 1, frequency: 9}]
 stops: [{name: plate, between: [table, x], gap: 1, restitution: 0.5}]
 initial_state: {position: [0], velocity: [0]}
