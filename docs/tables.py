@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from docs import rooms
-from impact_observer.io import access
 from impact_observer.io.interfaces import INTERFACES, Interface
 from impact_observer.observer.laws import OWN_LAWS
 from impact_observer.options import OBSERVER_OPTIONS, Option, Value
@@ -180,7 +179,6 @@ def files() -> dict[Path, str]:
         docs / "images" / "rooms.svg": rooms.picture(),
         ROOT / "config" / "rosbag2" / "qos_overrides.yaml": qualities(),
         **{path: sample(path.stem) for path in samples},
-        **{ROOT / access.FOLDER / f"{node}.xml": access.policy(node) for node in access.NODES},
     }
 
 
