@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The checks of a process that uses ROS, and the errors that do not end the process."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,7 @@ def test_security_is_not_asked_for_or_enforced(
     monkeypatch.setenv("ROS_SECURITY_ENABLE", enable)
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
     require_ros()
+    assert "rclpy" in sys.modules
 
 
 @pytest.mark.ros
