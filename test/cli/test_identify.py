@@ -309,6 +309,7 @@ def test_times_that_were_printed_with_few_digits_fit(capsys: pytest.CaptureFixtu
         (np.random.default_rng(1).uniform(0.2, 1.5, 8), "no motion explains these impacts"),
     ],
 )
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_tmp_path")
 def test_useless_values_are_not_written_and_the_last_line_says_why(
     flights: Array, reason: str, capsys: pytest.CaptureFixture[str]
@@ -323,19 +324,6 @@ def test_useless_values_are_not_written_and_the_last_line_says_why(
     last = said.splitlines()[-1]
     assert last == f"model: ball.yaml is not written: {reason}; --accept does not change that"
     assert not Path("ball.yaml").exists()
-
-
-def test_a_check_without_a_motion_prints_no_table(
-    model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The error alone: shifts of single contacts from no motion mean nothing."""
-    model.write_text(model.read_text().replace("gap: 0.5", "gap: 5"))
-    words = ["identify", bag(BAG), "--model", str(model), "--check", "--clock-error", "1e-6"]
-    assert main([*words, "--horizon", "12"]) == 1
-    said = capsys.readouterr().out
-    assert "no motion of the model explains these stamps" in said
-    assert "rms [s]" not in said
-    assert "probability" not in said
 
 
 @pytest.mark.parametrize(
@@ -373,6 +361,7 @@ def test_help_lists_every_parameter_of_a_model(
         assert re.search(f"[:,]{form}", said), parameter.name
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_tmp_path")
 def test_joints_that_could_be_samples_are_named_where_impacts_alone_explain_nothing(
     capsys: pytest.CaptureFixture[str],

@@ -228,6 +228,7 @@ def test_an_impact_missed_before_the_first_report_is_in_no_dead_time(tmp_path: P
     assert any(each.ruling is Ruling.INSERTED for each in verdicts)
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_of_a_sensor_is_named_beside_the_counts_of_its_samples(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

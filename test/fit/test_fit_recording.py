@@ -99,7 +99,14 @@ def speeds(run: Run) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.asarray(fine.states[1:, 3])
 
 
-@pytest.mark.parametrize("recorded", [typed_times, oscilloscope, sound, bag])
+@pytest.mark.parametrize(
+    "recorded",
+    [
+        typed_times,
+        bag,
+        *(pytest.param(each, marks=pytest.mark.slow) for each in (oscilloscope, sound)),
+    ],
+)
 def test_one_command_gives_numbers_table_and_picture(
     recorded: Callable[[Run, Path], Path],
     run: Run,

@@ -48,7 +48,8 @@ def counted_for(fitted: Identification) -> Labels:
     return {stamp: names[i] for stamp, i in fitted.recording.counted_for_others}
 
 
-@pytest.mark.parametrize("declared", [0.01, 0.05])
+@pytest.mark.slow
+@pytest.mark.parametrize("declared", [0.01, pytest.param(0.05, marks=pytest.mark.long)])
 def test_mislabelled_impacts_are_named_and_none_is_lost(
     declared: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -71,6 +72,7 @@ def test_mislabelled_impacts_are_named_and_none_is_lost(
     assert names == [[s, other[contact], contact] for s, contact in sorted(wrong.items())]
 
 
+@pytest.mark.slow
 def test_impacts_that_are_never_mislabelled_are_outliers() -> None:
     """With a probability of 0 an impact of the wrong contact is a false and a missed one."""
     events, wrong = sensed(0.05)

@@ -107,7 +107,8 @@ def test_a_prior_decides_what_impacts_leave_open() -> None:
     assert np.all(np.abs(found.values - 1) < 3 * found.errors)
 
 
-@pytest.mark.parametrize("clock", [1e-5, None])
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", [1e-5, pytest.param(None, marks=pytest.mark.long)])
 def test_a_periodic_motion_does_not_end_at_a_restitution_of_zero(clock: float | None) -> None:
     """The hits of a drill that settles on a period are few numbers for five unknowns."""
     free, jitter = ("gap", "stiffness", "restitution"), 1e-5
@@ -127,6 +128,7 @@ def test_a_periodic_motion_does_not_end_at_a_restitution_of_zero(clock: float | 
     assert np.all(found.errors <= found.widened * np.array([0.0002, 450, 3000, 0.1]) * 1.001)
 
 
+@pytest.mark.slow
 def test_a_value_far_beyond_its_deviation_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     """A prior that impacts contradict is a guess, or the model is wrong."""
     text = RIG.format(k=10, a=4, g=0.5, e=declared(0.75, 0.001))
@@ -194,6 +196,7 @@ def test_correlated_errors_of_the_model_count_as_such() -> None:
     assert found.errors[0] < other.errors[0]
 
 
+@pytest.mark.slow
 def test_errors_of_short_recordings_are_those_that_the_posterior_says() -> None:
     """The true numbers are drawn from the prior, of which few impacts tell little."""
     rng, names = np.random.default_rng(7), ("e", "g", "a")

@@ -73,6 +73,7 @@ def test_a_restitution_that_scatters_is_found_with_honest_errors() -> None:
     assert np.all(np.abs(scatters / SCATTER - 1) < 0.35)
 
 
+@pytest.mark.slow
 def test_a_scatter_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     """With its size at the contact; all values are as near the truth as their errors say."""
     fit = fitted(SCATTER, 3)
@@ -90,8 +91,13 @@ def test_errors_of_the_clock_alone_are_no_scatter() -> None:
     assert for_json(fit, check_fit(fit))["restitution_scatter"] == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "wrong"), [("forcing-amplitude.1", 1.1), ("forcing-frequency.1", 2.501)]
+    ("name", "wrong"),
+    [
+        ("forcing-amplitude.1", 1.1),
+        pytest.param("forcing-frequency.1", 2.501, marks=pytest.mark.long),
+    ],
 )
 def test_a_wrong_number_of_the_model_is_no_scatter(name: str, wrong: float) -> None:
     """The model does not fit, and the wrong number is among those that are named."""

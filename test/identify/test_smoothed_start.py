@@ -103,7 +103,8 @@ def lever(stiffness: float) -> Model:
     )
 
 
-@pytest.mark.parametrize("clock", [0.001, None])
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", [0.001, pytest.param(None, marks=pytest.mark.long)])
 def test_a_wrong_stiffness_is_found_though_a_tenth_of_the_impacts_is_missed(
     clock: float | None,
 ) -> None:

@@ -47,6 +47,7 @@ def found_of(name: str, events: Sequence[ImpactEvent], jitter: float = 0.0) -> l
     return [each for each in made if isinstance(each, Estimate)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, 1e-3])
 @pytest.mark.parametrize("by", [0.1, -0.1])
 def test_within_ten_seconds_the_error_is_below_a_twentieth_of_the_motion(

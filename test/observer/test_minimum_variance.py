@@ -390,7 +390,8 @@ def test_stiff_damping_does_not_overflow_backwards_in_time(damping: float) -> No
         assert np.max(np.abs(end.q)) < 1.0
 
 
-@pytest.mark.parametrize("clock", [0.03, 0.1])
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", [0.03, pytest.param(0.1, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     "declared", [without_faults(), Uncertainty()], ids=["no faults", "faults"]
 )

@@ -49,7 +49,8 @@ def share_within(
     return float(np.mean(inside)), found
 
 
-@pytest.mark.parametrize("clock", [1e-4, 1e-5])
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", [1e-4, pytest.param(1e-5, marks=pytest.mark.long)])
 def test_states_hold_the_truth_where_a_restitution_scatters(clock: float) -> None:
     """The motion that is the likeliest has a restitution six declared deviations off.
 
@@ -73,6 +74,7 @@ def test_states_hold_the_truth_where_a_restitution_scatters(clock: float) -> Non
     assert np.mean(np.abs(errors) < [2 * each.speed_after_deviation for each in impacts]) > 0.9
 
 
+@pytest.mark.slow
 def test_a_restitution_that_is_the_same_at_every_hit_is_learned() -> None:
     """All parameters are off by about one declared deviation: the smoothed states are used."""
     drill = Drill(scatter=0.0)
@@ -85,6 +87,7 @@ def test_a_restitution_that_is_the_same_at_every_hit_is_learned() -> None:
     assert all(each.synchronized for each in found)
 
 
+@pytest.mark.slow
 def test_an_error_of_the_model_that_is_declared_explains_a_restitution_that_scatters() -> None:
     """The remedy that the warning names."""
     drill = Drill(scatter=0.02)
