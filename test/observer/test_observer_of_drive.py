@@ -51,9 +51,7 @@ def test_first_pulse_is_the_epoch_where_nothing_else_says_it() -> None:
     """Neither the events nor a parameter; without all of them there is one line."""
     events, pulses = recorded()
     observer, given = watcher(epoch=0), watcher(epoch=pulses[0])
-    with pytest.raises(
-        UsageError, match=r"epoch: 0 found.* the forcing of hammer depends on time"
-    ):
+    with pytest.raises(UsageError, match="epoch"):
         observer.receive(without_epoch(events)[0])
     for pulse in pulses:
         observer.take_pulse(pulse)

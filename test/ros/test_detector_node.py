@@ -338,8 +338,8 @@ def test_a_fast_sensor_does_not_outrun_the_node(rig: Rig) -> None:
     ("given", "expected"),
     [
         ({}, "parameter sources: is not set"),
-        ({"sources": "no.yaml"}, "no.yaml: no such file; expected a file of sensors"),
-        ({"sources": "switch", "epoch": -1}, "parameter epoch: expected an int, >= 0"),
+        ({"sources": "no.yaml"}, "no.yaml"),
+        ({"sources": "switch", "epoch": -1}, "parameter epoch"),
     ],
 )
 def test_a_wrong_parameter_is_one_line_and_exit_code_2(

@@ -171,18 +171,18 @@ def test_a_signal_ends_a_node_with_exit_code_0(
         ("observer", {}, "a sample: give --ros-args -p model:=FILE"),
         ("observer", {"model": "nothing.yaml"}, "nothing.yaml: no such file"),
         ("observer", {"model": "two_mass", "law": "magic"}, "law 'magic': not installed"),
-        ("observer", {"model": "two_mass", "rate": -1.0}, "parameter rate: expected a double"),
+        ("observer", {"model": "two_mass", "rate": -1.0}, "parameter rate"),
         ("observer", {"model": "two_mass", "rate": "[]"}, "parameter rate: None found"),
-        ("observer", {"model": "two_mass", "history": 1e300}, "parameter history: expected a"),
+        ("observer", {"model": "two_mass", "history": 1e300}, "parameter history"),
         ("observer", {"model": "two_mass", "initial_state": "one"}, "initial state 'one'"),
         ("plant", {"model": "two_mass", "realtime_factor": 2.0}, "needs publish_clock"),
         (
             "plant",
             {"model": "two_mass", "duration": 1e300},
-            "parameter duration: expected a double",
+            "parameter duration",
         ),
         ("observer", {"model": "two_mass", "use_sim_time": "banana"}, "use_sim_time"),
-        ("monitor", {"model": "two_mass", "law": 3}, "parameter law: expected a string"),
+        ("monitor", {"model": "two_mass", "law": 3}, "parameter law"),
     ],
 )
 def test_a_wrong_parameter_is_one_line_and_exit_code_2(
