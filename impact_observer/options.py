@@ -167,8 +167,8 @@ class Options:
     law: str = option("geometric", "law by which events correct the estimate")
     initial_state: str = option(
         "zero",
-        "initial state: q1,..,qn,u1,..,un, in m or rad and m/s or rad/s, also where a model has"
-        " unit: deg; or random:SEED, drawn with standard deviations of 1 m and 1 m/s; or zero",
+        "initial state: q1,..,qn,u1,..,un, in m or rad and m/s or rad/s; or random:SEED, drawn"
+        " with standard deviations of 1 m and 1 m/s; or zero",
         short="initial",
         metavar="STATE",
         live=AT_NEXT_START,

@@ -33,6 +33,14 @@ def problem_with(key: str, allowed: str) -> str:
     return f"is not known here; expected one of {allowed}"
 
 
+def problem_with_unit(found: str, wanted: str) -> str:
+    """Why ``unit`` cannot be ``found``, where ``wanted`` units are expected."""
+    if found == "deg":
+        went = "the conversion of degrees went in 0.4.0; impact_observer 0.3.0 has it"
+        return f"{went}; expected {wanted}"
+    return f"{found!r} found; expected {wanted}"
+
+
 def without_gone(document: object, place: str = "") -> object:
     """A ``document`` for the comparison of states: without gone keys and deviations.
 

@@ -17,12 +17,11 @@ from ruamel.yaml.representer import SafeRepresenter
 from impact_observer.errors import ModelError, NotLinearError
 from impact_observer.model import elements, sampled_files
 from impact_observer.model.declared_deviations import with_deviations, without_deviations
-from impact_observer.model.degrees import DEGREES, is_in_degrees, radians
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.free_parameters import is_observed
-from impact_observer.model.gone_keys import without_gone
+from impact_observer.model.gone_keys import problem_with_unit, without_gone
 from impact_observer.model.ground_keys import (
     GroundMotions,
     live_names,
@@ -301,18 +300,7 @@ def model_text(source: str | Path) -> ModelText:
         UsageError: the file does not exist.
     """
     path, text = read_file_or_sample(source, "config", "a model file, or a sample model")
-    text = _in_rad_per_s(_in_radians(text, str(path)), str(path))
-    return ModelText(text, str(path), path.parent)
-
-
-def _in_radians(text: str, source: str) -> str:
-    """The ``text`` of a model file with angles in radians; errors name the ``source``."""
-    if not is_in_degrees(text):
-        return text
-    try:
-        return edited(text, radians(load_yaml(text)))
-    except ModelError as error:
-        raise error.in_file(source) from None
+    return ModelText(_in_rad_per_s(text, str(path)), str(path), path.parent)
 
 
 def _in_rad_per_s(text: str, source: str) -> str:
@@ -358,8 +346,7 @@ def parse_model(
     try:
         if (count := len(_MASSES.findall(text))) > _MOST_BODIES:
             raise ModelError("bodies", f"{count} found; expected at most {_MOST_BODIES}")
-        text = _in_rad_per_s(_in_radians(text, source), source)
-        document = load_yaml(text)
+        document = load_yaml(_in_rad_per_s(text, source))
         document = without_gone(document) if comparing else document
         return replace(_model(document, folder), source=source)
     except ModelError as error:
@@ -481,8 +468,8 @@ def _model(document: Value, folder: Path | None) -> Model:
         system = _system_of_matrices(name, section, folder)
     unit = _unit_of(elements=form is elements.KEYS)
     if "unit" in section and (unit := section.text("unit")) not in UNITS:
-        units = f"m, rad or {DEGREES}"
-        raise ModelError("unit", f"{unit!r} found; expected {units}, of the coordinates")
+        wanted = f"{' or '.join(UNITS)}, of the coordinates"
+        raise ModelError("unit", problem_with_unit(unit, wanted))
     system = replace(system, unit=unit)
     position, velocity = _initial_state(section, system)
     known = read_uncertainty(section, system, parts)
