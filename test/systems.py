@@ -38,7 +38,6 @@ from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.plant.switching import Switching
-from impact_observer.plant.time_stepping import TimeSteppingPlant
 from impact_observer.stamps import NS_PER_S, grid
 
 Array = NDArray[np.float64]
@@ -310,7 +309,7 @@ def switchings(m: int, most: int = 8, seconds: float = 5.0) -> st.SearchStrategy
     return st.lists(step, max_size=most)
 
 
-def crossed(plant: Plant | TimeSteppingPlant, seconds: float, most: int = 1000) -> list[Switching]:
+def crossed(plant: Plant, seconds: float, most: int = 1000) -> list[Switching]:
     """The switchings of a plant until ``seconds`` after its epoch, at most ``most``."""
     found: list[Switching] = []
     last = plant.epoch + round(seconds * NS_PER_S)

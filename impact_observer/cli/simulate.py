@@ -16,7 +16,6 @@ from impact_observer.cli.arguments import (
     stamp,
 )
 from impact_observer.errors import UsageError
-from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU, described
 from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 
 if TYPE_CHECKING:
@@ -49,18 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=1_000_000_000,
         help="stamp of t = 0 (default 1)",
     )
-    add(
-        "--integrator",
-        choices=INTEGRATORS,
-        default=EVENT_DRIVEN,
-        help="exact from event to event, or Moreau's time stepping (default event-driven)",
-    )
-    add(
-        "--step",
-        metavar="S",
-        type=positive,
-        help=f"length of the steps of moreau, s (default {DEFAULT_STEP:g})",
-    )
     add_bag_output(parser)
     group = parser.add_argument_group("sensor", "its faults; none by default")
     for each in SENSOR_FAULTS:
@@ -90,9 +77,6 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.stamps import from_seconds, grid, seconds_between
 
     check_free(args.output)
-    if args.step is not None and args.integrator != MOREAU:
-        raise UsageError(f"step: {args.step:g} s given; only the integrator {MOREAU} takes steps")
-    step = DEFAULT_STEP if args.step is None else args.step
     given = {each.name: getattr(args, each.name) for each in SENSOR_FAULTS}
     sensor = plant.SensorModel(**{k: value for k, value in given.items() if value is not None})
     model, epoch, duration = read_model(args.model), args.epoch, args.duration
@@ -114,24 +98,16 @@ def run(args: argparse.Namespace) -> int:
         def show(what: str, stamp: int) -> None:
             progress.step(what, seconds_between(epoch, stamp), duration)
 
-        master = plant.make_plant(
-            true.system,
-            *model.initial_state(),
-            epoch=epoch,
-            integrator=args.integrator,
-            step=step,
-        )
+        master = plant.make_plant(true.system, *model.initial_state(), epoch=epoch)
         wanted = np.union1d(stamps, sampled)
         done = plant.simulate(master, wanted, progress=partial(show, "simulating"))
         samples = simulated_samples(simulation, done.sampled_at(sampled)) if sensors else []
         done = done.sampled_at(stamps)
-        how = described(args.integrator, step)
         events = write_run(
             args.output,
             model,
             done,
             seed=args.seed,
-            integrator=how,
             sensor=sensor,
             samples=samples,
             types=simulation.types,

@@ -13,7 +13,6 @@ from types import MappingProxyType
 from impact_observer import __version__
 from impact_observer.errors import ImpactObserverError, UnfitBagError
 from impact_observer.events import ImpactEstimate, ImpactEvent
-from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.reader import BagReader
@@ -38,7 +37,6 @@ INTEGRATOR = "integrator"
 def published_model(
     model: Model,
     seed: int,
-    integrator: str = EVENT_DRIVEN,
     sensor: SensorModel = IDEAL,
     true_parameters: Mapping[str, float] = MappingProxyType({}),
 ) -> str:
@@ -51,7 +49,7 @@ def published_model(
         "package": "impact_observer",
         "version": __version__,
         "seed": seed,
-        INTEGRATOR: integrator,
+        INTEGRATOR: "event-driven",
     }
     if sensor.faults:
         provenance["sensor"] = sensor.faults
@@ -102,7 +100,6 @@ def write_run(
     run: Run,
     *,
     seed: int,
-    integrator: str = EVENT_DRIVEN,
     sensor: SensorModel = IDEAL,
     samples: Sequence[SimulatedMessage] = (),
     types: Mapping[str, str] = MappingProxyType({}),
@@ -119,7 +116,6 @@ def write_run(
         model: of the plant.
         run: its states and impacts.
         seed: seed of all random numbers in the bag.
-        integrator: a description of the integrator.
         sensor: its faults.
         samples: messages of sensors beside the impacts, as they arrive.
         types: of these messages, by topic.
@@ -147,9 +143,7 @@ def write_run(
         for topic, kind in types.items():
             writer.declare(topic, type_name=kind, quality=interfaces.SENSORS)
         start = int(run.stamps[0])
-        model_message = make.model(
-            published_model(model, seed, integrator, sensor, true_parameters)
-        )
+        model_message = make.model(published_model(model, seed, sensor, true_parameters))
         writer.write(interfaces.PLANT_MODEL.topic, start, model_message)
         events = (
             (each.arrival, interfaces.IMPACTS.topic, make.event(each.event)) for each in received

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant: the impacting system itself, integrated from event to event or step by step."""
+"""The plant: the impacting system itself, integrated from event to event."""
 
 from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.master import Master, make_plant
@@ -14,7 +14,6 @@ from impact_observer.plant.sensor import (
 )
 from impact_observer.plant.simulation import Run, simulate
 from impact_observer.plant.switching import Switching
-from impact_observer.plant.time_stepping import TimeSteppingPlant
 
 __all__ = [
     "IDEAL",
@@ -27,7 +26,6 @@ __all__ = [
     "SensorModel",
     "SensorSimulation",
     "Switching",
-    "TimeSteppingPlant",
     "make_plant",
     "random_plant",
     "simulate",

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
 from impact_observer.options import (
     AT_ONCE,
     OBSERVER_OPTIONS,
@@ -67,13 +66,6 @@ PLANT = (
     Option("rate", 100.0, "rate of the true states", "Hz", low=0.001, high=1e5),
     Option("epoch", 0, "stamp of t = 0; 0: the time of the clock at the start", "ns", low=0),
     Option("duration", 0.0, "simulated time until the end; 0: no end", "s", low=0.0, high=1e9),
-    Option(
-        "integrator",
-        EVENT_DRIVEN,
-        "integrator of the plant; event-driven is exact",
-        choices=INTEGRATORS,
-    ),
-    Option("step", DEFAULT_STEP, "time step of the integrator moreau", "s", low=1e-9, high=1.0),
     Option("publish_clock", False, "publish /clock, the source of simulated time"),
     Option("clock_rate", 100.0, "rate of /clock in simulated time", "Hz", low=0.1, high=1e4),
     Option(

@@ -12,7 +12,6 @@ from std_srvs.srv import Trigger
 
 from impact_observer.errors import DynamicsError, InputTimeoutError, UsageError
 from impact_observer.events import Contacts
-from impact_observer.integrators import described
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState
 from impact_observer.io.recordings import published_model
@@ -71,8 +70,6 @@ class PlantNode(ManagedNode):
         self._system = simulated(self._model)
         self._rate = values.number("rate")
         self._duration = from_seconds(values.number("duration"))
-        self._integrator = values.text("integrator")
-        self._step = values.number("step")
         self._factor = values.number("realtime_factor")
         self._owns_clock = values.flag("publish_clock")
         self._clock_period = from_seconds(1.0 / values.number("clock_rate"))
@@ -97,7 +94,6 @@ class PlantNode(ManagedNode):
         )
         # A motion that no message can change, and that cannot be computed, is the end.
         self.ends_by = (DynamicsError,) if self._live is None else (InputTimeoutError,)
-        how = described(self._integrator, self._step)
         self._impacts = self.publisher(interfaces.IMPACTS)
         self._states = self.publisher(interfaces.PLANT_JOINT_STATES)
         self._model_topic = self.publisher(interfaces.PLANT_MODEL)
@@ -109,7 +105,7 @@ class PlantNode(ManagedNode):
         sampling = Sampling.from_values(of_samples)
         self._sensors = PlantSensors(self, declared, self._system, sampling, self._seed)
         self._closed: Contacts = ()
-        text = published_model(self._model, self._seed, how, self._sensor)
+        text = published_model(self._model, self._seed, self._sensor)
         self._model_topic.publish(self.make.model(text))
         self.serve(Trigger, "~/reset", self._on_reset)
         self._episode = 0
@@ -124,7 +120,7 @@ class PlantNode(ManagedNode):
         waits = "nothing"
         if self._wanted_subscribers:
             waits = f"{self._wanted_subscribers} subscribers on each topic"
-        self.introduce(f"model {self._system.name}, {how}", waits)
+        self.introduce(f"model {self._system.name}", waits)
         if line := held_joints(self._system):
             self.lines.info(line)
 
@@ -222,8 +218,6 @@ class PlantNode(ManagedNode):
             self._system,
             *self._model.initial_state(),
             epoch=epoch,
-            integrator=self._integrator,
-            step=self._step,
             live=self._live,
         )
         self._plant.next_switching(epoch + _LOOK_AHEAD)

@@ -180,30 +180,6 @@ def test_a_demo_checks_its_parameters_before_it_makes_anything(
     assert not (tmp_path / "x").exists()
 
 
-@pytest.mark.slow
-def test_ball_comes_to_rest_by_either_integrator(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Accumulation and persistent contact do not end a run; the bag names its integrator."""
-    for integrator, steps in (("event-driven", []), ("moreau", ["--step", "0.001"])):
-        bag = str(tmp_path / integrator)
-        arguments = ["simulate", "bouncing_ball", "--duration", "9", "-o", bag]
-        assert main([*arguments, "--integrator", integrator, *steps]) == 0
-        main(["check", bag])
-        assert f"seed 0, {integrator}" in capsys.readouterr().out
-
-
-def test_step_without_time_stepping_is_one_line_and_exit_code_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A step without an integrator that takes it is refused, not ignored."""
-    bag = tmp_path / "bag"
-    assert main(["simulate", "two_mass", "--step", "0.001", "-o", str(bag)]) == 2
-    errors = capsys.readouterr().err.strip().splitlines()
-    assert "step" in errors[0]
-    assert not bag.exists()
-
-
 def test_impact_without_a_solution_is_one_line_and_exit_code_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

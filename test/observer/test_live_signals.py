@@ -17,7 +17,7 @@ from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, make_observer
 from impact_observer.observer import observer as observer_module
 from impact_observer.observer.samples import SensorSample
-from impact_observer.plant import Plant, make_plant
+from impact_observer.plant import Plant
 from impact_observer.stamps import NS_PER_S
 
 
@@ -213,8 +213,6 @@ def test_who_has_no_signals_refuses_the_model() -> None:
     line = "rig: known only live: motor, which a plant without signals cannot use"
     with pytest.raises(UsageError, match=line):
         Plant(system, *START, epoch=EPOCH)
-    with pytest.raises(UsageError, match="which the integrator moreau cannot use"):
-        make_plant(system, *START, epoch=EPOCH, integrator="moreau")
 
 
 def test_samples_that_were_read_do_not_change_when_others_come() -> None:

@@ -8,8 +8,6 @@ from scipy import integrate, optimize
 from systems import EPOCH, run
 
 from impact_observer.model import Model, parse_model
-from impact_observer.plant import make_plant, simulate
-from impact_observer.stamps import grid
 
 Array = NDArray[np.float64]
 
@@ -148,23 +146,6 @@ def test_impacts_agree_with_a_runge_kutta_method() -> None:
     assert len(expected) > 8
     np.testing.assert_allclose(times, expected, atol=2e-9)
     np.testing.assert_allclose(mine.states[-1], y, atol=1e-8)
-
-
-@pytest.mark.long
-def test_time_stepping_converges_to_the_same_motion() -> None:
-    """Moreau's scheme knows moving stops, too: its error falls with its step."""
-    model, stamps = parse_model(RIG, "rig"), grid(EPOCH, EPOCH + 2 * 10**9, 50.0)
-    position, velocity = np.array([0.1, 0.0]), np.array([0.0, 0.5])
-    exact = simulate(make_plant(model.system, position, velocity, epoch=EPOCH), stamps).states
-    errors = []
-    for step in (4e-4, 1e-4):
-        plant = make_plant(
-            model.system, position, velocity, epoch=EPOCH, integrator="moreau", step=step
-        )
-        found = simulate(plant, stamps).states
-        errors.append(np.median(np.abs(found - exact)))
-    assert errors[1] < errors[0] / 2
-    assert errors[1] < 1e-3
 
 
 def test_ball_rests_on_a_slow_table_and_leaves_it_when_that_falls_too_fast() -> None:

@@ -12,7 +12,6 @@ from saltation_oracle import saltation_error
 from systems import (
     EPOCH,
     chain,
-    crossed,
     delassus,
     estimates,
     examples,
@@ -42,8 +41,6 @@ from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.unilateral import Unilateral
-from impact_observer.plant import Plant
-from impact_observer.plant.time_stepping import TimeSteppingPlant
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -156,21 +153,6 @@ def test_rebound_heights_of_a_ball_follow_the_law_until_it_rests() -> None:
     np.testing.assert_allclose(stamps[:13], expected, atol=2e-9)
     assert made.events[-1].switches[0].kind is Kind.CLOSE
     np.testing.assert_allclose(made.states[-1], 0, atol=1e-12)
-
-
-@pytest.mark.long
-def test_time_stepping_rebounds_by_the_same_law() -> None:
-    """Its first impacts are those of the event-driven plant, up to a few steps."""
-    model = sample("yielding_stop")
-    q, u = model.initial_state()
-    plants = (
-        Plant(model.system, q, u, epoch=EPOCH),
-        TimeSteppingPlant(model.system, q, u, epoch=EPOCH, step=2e-4),
-    )
-    runs = [crossed(plant, 6.0) for plant in plants]
-    times = [[each.instant.stamp for each in found] for found in runs]
-    assert len(times[0]) == len(times[1]) >= 4
-    np.testing.assert_allclose(times[0], times[1], rtol=0, atol=3e-3 * NS_PER_S)
 
 
 @pytest.mark.parametrize("seed", range(4))
