@@ -15,7 +15,6 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from types import ModuleType, WrapperDescriptorType
 from typing import Any, NamedTuple
 
@@ -101,12 +100,7 @@ def copied(value: Any) -> Any:  # noqa: ANN401
 
 def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     """Call what plants and observers do not call, on objects that they have made."""
-    from systems import PRESSED
-
-    from impact_observer.dynamics import Phases, Watched
-    from impact_observer.kernel import RootSearch, falls_at
-    from impact_observer.model import Forcing
-    from impact_observer.model.force_samples import Samples
+    from impact_observer.kernel._kernel import falls_at
 
     w = calls["Impact.__init__"][0].given[1]
     falls_at(lambda s: 1.0 - s, 0.0, 2.0)
@@ -114,28 +108,6 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     motion.moved(0.1, np.ones(2 * w.size), 0.2)
     impact, t, _, states, _ = calls["Impact.posteriors"][0].given
     impact.missed(np.full(len(states), t), states)
-    samples = Samples(np.arange(-1.0, 9.0), np.ones((10, 2)) * np.arange(2.0), "linear")
-    sampled = replace(PRESSED, forcing=Forcing.of_samples(samples))
-    for model in (PRESSED, sampled):
-        phase = Phases(model).phase()
-        motion = phase.start(0.3, np.array([0.1, -0.2, 0.5, 0.0]))
-        motion.states(np.linspace(0.0, 1.0, 5))
-        guards = Watched.gaps(model, [0, 1]).along(phase).guards
-        RootSearch(guards, motion, 1.0).first(2.0)
-        guards.known(motion, 0.1, 0.2)
-        guards.values(motion, np.linspace(0.0, 1.0, 5))
-    Phases(PRESSED).phase().transition(0.1)
-    make, time, jets = calls["SampledForces.__init__"][0].function, *_first_samples(calls)
-    forces = make(*calls["SampledForces.__init__"][0].given)
-    for k in range(2):
-        forces.splice(time.size - 1, time[-1:] + k, jets, float(time[-1]))  # type: ignore[attr-defined]
-    forces.drop(1)  # type: ignore[attr-defined]
-
-
-def _first_samples(calls: dict[str, list[Call]]) -> tuple[Any, Any]:
-    """Instants of the first sampled forces that were made, and the jets of one of them."""
-    time, jets = calls["SampledForces.__init__"][0].given[:2]
-    return time, jets[:1]
 
 
 def estimate_parameters() -> None:

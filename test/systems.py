@@ -17,10 +17,8 @@ import numpy as np
 from hypothesis import assume, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
-from impact_observer.dynamics import lyapunov
-from impact_observer.dynamics.flow.modes import Modes
+from impact_observer.dynamics import AugmentedFlow, Phases, lyapunov
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.filter.contact_change import ContactChange
@@ -150,19 +148,9 @@ LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
 """Stiffness of three bodies joined by two springs; it has a rigid mode."""
 
 
-def one_block(model: System) -> Modes:
-    """The state of ``model`` as where no modes can be split, in units of energy."""
-    squares, shapes = linalg.eigh(model.K, model.M)
-    omega = np.sqrt(np.maximum(squares, 0.0))
-    unit = np.where(omega > 1e-6 * max(omega[-1], 1.0), omega, 1.0)
-    A = np.block(
-        [
-            [np.zeros_like(shapes), np.diag(unit)],
-            [-np.diag(omega**2 / unit), -shapes.T @ model.C @ shapes],
-        ]
-    )
-    T = linalg.block_diag(shapes / unit, shapes)
-    return Modes(T, linalg.inv(T), A[None], proportional=False)
+def flow_of(model: System) -> AugmentedFlow:
+    """The flow of ``model`` while no contact is held."""
+    return Phases(model).phase().flow
 
 
 def delassus(model: System) -> Array:

@@ -5,6 +5,7 @@
 says what ends a phase.
 """
 
+from impact_observer.dynamics.augmented_flow import AugmentedFlow, AugmentedMotion, Motion
 from impact_observer.dynamics.contact.clutch import Clutches, Piecewise
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
 from impact_observer.dynamics.contact.persistent_contact import (
@@ -13,28 +14,30 @@ from impact_observer.dynamics.contact.persistent_contact import (
     persistent_contacts,
 )
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
-from impact_observer.dynamics.flow.flow import Flow, Motion, flow_of
 from impact_observer.dynamics.flow.phase import Phase, Phases
 from impact_observer.dynamics.flow.scales import Scales
+from impact_observer.dynamics.roots import Guards, RootSearch
 from impact_observer.dynamics.watched import DEPTH, End, Watch, Watched
 
 __all__ = [
     "DEPTH",
     "KEPT",
+    "AugmentedFlow",
+    "AugmentedMotion",
     "Clutches",
     "End",
-    "Flow",
     "Grip",
+    "Guards",
     "ImpactLaw",
     "Motion",
     "Phase",
     "Phases",
     "Piecewise",
     "PositionProjection",
+    "RootSearch",
     "Scales",
     "Watch",
     "Watched",
     "ended",
-    "flow_of",
     "persistent_contacts",
 ]

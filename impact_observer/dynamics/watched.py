@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guard functions along a motion: a phase ends when a guard function falls below zero.
 
-``RootSearch`` of the kernel finds the first root of all guard functions and misses none.
+``RootSearch`` finds the first root of all guard functions and misses none (``roots.py``).
 """
 
 from collections import defaultdict
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.dynamics.flow.phase import Phase
-from impact_observer.kernel import Guards
+from impact_observer.dynamics.roots import Guards
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
@@ -34,7 +34,7 @@ class Watch(NamedTuple):
     """Watched functions of the motions of one phase.
 
     Attributes:
-        guards: the functions in the kernel.
+        guards: the functions.
         ends: kind of each function, and index of the contact.
     """
 
@@ -127,7 +127,7 @@ class Watched:
         waves = np.vstack([forcing.constant, forcing.cosine, forcing.sine]) @ self.force.T
         waves[0] += self.constant
         rows = np.hstack([self.position, self.velocity])
-        return Watch(phase.flow.guards(rows, waves.T, self.force), self.ends)
+        return Watch(phase.flow.guards(rows, waves.T, self.force, self.ends), self.ends)
 
 
 def _each(end: End, which: Iterable[int]) -> tuple[tuple[End, int], ...]:

@@ -13,15 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.dynamics import Phase
-from impact_observer.dynamics.flow.flow import Motion
-from impact_observer.dynamics.watched import Watched
+from impact_observer.dynamics.augmented_flow import Motion
 from impact_observer.events import Contacts, Kind
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.saltation import Measured
-from impact_observer.kernel import Guards, PhaseMotion
 from impact_observer.kernel._kernel import FINE, FINER, MOST_SAMPLES, TINY, dips_along, falls_at
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
@@ -104,11 +102,6 @@ class Flight:
     def _phase(self) -> Phase:
         return self._prepare()
 
-    @cached_property
-    def _guards(self) -> Guards:
-        gaps = Watched.gaps(self._system, list(self.contacts[: self.gaps]), self._phase)
-        return gaps.and_also(Watched.loads(self._phase)).along(self._phase).guards
-
     def instants(self, duration: float) -> Vector:
         """Samples of the next ``duration`` seconds, shape (samples,)."""
         count = min(max(math.ceil(duration / self._step), 4), MOST_SAMPLES)
@@ -117,8 +110,6 @@ class Flight:
 
     def values(self, motion: Motion, s: Vector) -> Matrix:
         """The functions along a motion, at ``s`` seconds in rising order, (samples, functions)."""
-        if isinstance(motion, PhaseMotion):
-            return self._guards.values(motion, s)
         return np.asarray(motion.states(s) @ self.c.T + self.offset(s))
 
     def rounding(self, j: int, s: float, x: Vector) -> float:

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_observer.dynamics.flow.flow import Motion
+from impact_observer.dynamics.augmented_flow import Motion
 from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.events import Contacts
 from impact_observer.filter.moving_system import MovingSystem

@@ -1,9 +1,6 @@
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
 from impact_observer.states import Matrix, Vector
 
 SOURCES: str
@@ -129,71 +126,6 @@ class Impact:
     ) -> list[StateArrays]: ...
     def missed(self, t: Vector, states: Sequence[tuple[object, ...]]) -> list[StateArrays]: ...
 
-class PhaseMotion:
-    t: float
-    def state(self, s: float, /) -> Vector: ...
-    def states(self, s: Vector, /) -> Matrix: ...
-
-class PhaseFlow:
-    def start(self, t: float, x: Vector) -> PhaseMotion: ...
-    def guards(
-        self, position: Matrix, seen: Matrix, reach: Matrix, waves: Matrix, force: Matrix
-    ) -> Guards: ...
-
-class ModalFlow(PhaseFlow):
-    def __init__(
-        self,
-        coordinates: tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool],
-        splitting: tuple[Matrix, Matrix, NDArray[np.bool_]],
-        waves: tuple[Vector, NDArray[np.uint64]],
-        response: Matrix,
-        load: Matrix,
-        near: NDArray[np.bool_],
-        driven: NDArray[np.bool_],
-        energy: Matrix,
-        small: float,
-        young: float,
-    ) -> None: ...
-    def propagated(self, s: float) -> Matrix: ...
-
-class SampledForces:
-    def __init__(
-        self,
-        time: Vector,
-        jets: Matrix,
-        rounding: float,
-        check: Callable[[float], None],
-        dropped: int = 0,
-        newest: float = ...,
-    ) -> None: ...
-    def splice(self, first: int, time: Vector, jets: Matrix, newest: float) -> None: ...
-    def drop(self, first: int) -> None: ...
-
-class SeriesFlow(PhaseFlow):
-    def __init__(
-        self,
-        coordinates: tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool],
-        J: Matrix,
-        waves: tuple[Vector, NDArray[np.uint64]],
-        load: Matrix,
-        push: Matrix,
-        samples: SampledForces | None,
-        rate: float,
-    ) -> None: ...
-
-class Guards:
-    def known(
-        self, motion: PhaseMotion, s: float, stop: float
-    ) -> tuple[Matrix, Matrix, Vector, float]: ...
-    def values(self, motion: PhaseMotion, s: Vector) -> Matrix: ...
-
-class RootSearch:
-    looks: int
-    def __init__(
-        self, guards: Guards, motion: PhaseMotion, window: float, start: float = 0.0
-    ) -> None: ...
-    def first(self, horizon: float) -> tuple[float, tuple[int, ...]] | None: ...
-
 class Gaps:
     def __init__(self, family: Family, W: Matrix, rest: Vector, rests: Matrix) -> None: ...
     def dips(
@@ -235,31 +167,3 @@ class Gaps:
         below: float,
         depth: float = 0.0,
     ) -> float: ...
-
-class Arena:
-    def __init__(
-        self,
-        gaps: Guards,
-        M: Matrix,
-        W: Matrix,
-        q_r: Vector,
-        length: Vector,
-        window: float,
-        timescale: float,
-        shortest: float,
-        lowest: float,
-    ) -> None: ...
-    def learn(self, contact: int, kick: Vector, Z: Vector) -> None: ...
-    def start(self, stamp: int, remainder: float, x: Vector) -> Flights: ...
-
-def one_impact(
-    w: Vector, q_r: float, kick: Vector, Z: Vector, x: Vector, differences: Matrix
-) -> tuple[Vector, Matrix]: ...
-
-class Flights:
-    def advance(
-        self, limit: int, most: int
-    ) -> tuple[
-        list[tuple[int, float, int, float, Vector, Vector]],
-        tuple[float, tuple[int, ...]] | None,
-    ]: ...

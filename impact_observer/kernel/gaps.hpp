@@ -7,9 +7,34 @@
 #pragma once
 
 #include "kalman.hpp"
-#include "search.hpp"
 
 namespace kernel::kalman {
+
+// Where a function of time that is positive at `above` falls through zero on the way to `below`,
+// forwards or back; `below` where it does not change its sign. Regula falsi in which an end that
+// stays twice in a row counts half (Illinois), and halves where that is slow.
+template <class Function>
+double falls_at(const Function& value, double above, double below, double enough) {
+    double low = above, high = below, at_low = value(low), at_high = value(high);
+    if (!(at_low > 0 && 0 > at_high)) return below;
+    double before = 0.0;
+    for (int turn = 0; std::abs(high - low) > enough * std::abs(high) + 1e-15; ++turn) {
+        const auto is_between = [&](double s) {
+            return (low < s && s < high) || (high < s && s < low);
+        };
+        double s = low + (high - low) * (turn < 40 ? at_low / (at_low - at_high) : 0.5);
+        if (!is_between(s)) s = low + (high - low) / 2;
+        if (!is_between(s)) break;
+        const double now = value(s);
+        if (now > 0)
+            low = s, at_low = now, at_high /= before > 0 ? 2 : 1;
+        else
+            high = s, at_high = now, at_low /= before < 0 ? 2 : 1;
+        if (now == 0) break;
+        before = now;
+    }
+    return high;
+}
 
 constexpr double FINE = 6.0;           // samples in the inverse of the fastest rate: 38 a period
 constexpr double MOST_SAMPLES = 4096;  // of a flight; in a longer one their distance is larger

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of forces that change while a run goes on, with calls to the users of copies."""
+"""Samples of forces that change while a run goes on, and a memory of what has changed."""
 
-from collections.abc import Callable
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,8 @@ _NS = 1e-9
 _ROUNDING = 2.5e-10
 """Largest difference of two instants that counts as zero, s: a quarter of a stamp."""
 _Rows = NDArray[np.float64]
-Splice = Callable[[int, Vector, NDArray[np.float64], float], None]
-"""Called when samples change, with: number of the first changed sample, instants, jets, and the
-instant until which samples are final, s."""
+_REMEMBERED = 1024
+"""Changes that motions can follow; a motion that has seen fewer computes all windows anew."""
 
 
 class _Tail:
@@ -47,17 +46,19 @@ class _Tail:
 
 
 class LiveSamples(Samples):
-    """Samples that change; each user of copies registers with ``follow``.
+    """Samples that change.
 
     Attributes:
+        changes: number of changes up to now.
         dropped: number of forgotten samples.
         newest: samples before this instant are final, s since the epoch.
     """
 
+    changes: int
     dropped: int
     newest: float
     _drives: NDArray[np.bool_]
-    _followers: list[tuple[Splice, Callable[[int], None]]]
+    _since: deque[float]
     _tails: tuple[_Tail, _Tail]
 
     def __init__(self, base: Samples | None, drives: NDArray[np.bool_], newest: float) -> None:
@@ -78,7 +79,8 @@ class LiveSamples(Samples):
             "_drives": used,
             "dropped": 0,
             "newest": newest,
-            "_followers": [],
+            "changes": 0,
+            "_since": deque(maxlen=_REMEMBERED),
             "_tails": (_Tail(time), _Tail(jets.swapaxes(0, 1))),
             "jumps": True,
             "rounding": _ROUNDING,
@@ -95,18 +97,20 @@ class LiveSamples(Samples):
         """Infinity: a live signal has no last sample."""
         return np.inf
 
-    def follow(self, splice: Splice, drop: Callable[[int], None]) -> None:
-        """Call ``splice`` at changes, and ``drop`` with the number of the first kept sample."""
-        self._followers.append((splice, drop))
+    def changed_since(self, changes: int) -> float:
+        """The first instant of samples that differ since ``changes``, s since the epoch."""
+        count = self.changes - changes
+        recent = list(self._since)
+        return -np.inf if count > len(recent) else min(recent[-count:], default=np.inf)
 
     def change(self, first: int, time: Vector, jets: NDArray[np.float64], newest: float) -> None:
         """Replace the samples from number ``first`` on; forgotten samples count."""
         for tail, each in zip(self._tails, (time, jets.swapaxes(0, 1)), strict=True):
             tail.change(first - self.dropped, each)
         self._use_tails()
+        self._since.append(float(self.time[max(first - self.dropped - 1, 0)]))
+        object.__setattr__(self, "changes", self.changes + 1)
         object.__setattr__(self, "newest", newest)
-        for splice, _ in self._followers:
-            splice(first, time, jets, newest)
 
     def forget(self, first: int) -> None:
         """Forget the samples before number ``first``."""
@@ -114,8 +118,6 @@ class LiveSamples(Samples):
             tail.forget(first - self.dropped)
         self._use_tails()
         object.__setattr__(self, "dropped", first)
-        for _, drop in self._followers:
-            drop(first)
 
     def _use_tails(self) -> None:
         """Set what is derived."""

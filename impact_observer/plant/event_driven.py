@@ -7,25 +7,24 @@ import numpy as np
 
 from impact_observer.dynamics import (
     KEPT,
+    AugmentedMotion,
     End,
     Grip,
     ImpactLaw,
     Phase,
     Phases,
+    RootSearch,
     Watch,
     Watched,
     ended,
     persistent_contacts,
 )
 from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
-from impact_observer.kernel import PhaseMotion, RootSearch
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.model_source import ModelSource, model_of
-from impact_observer.plant.flights import Hit, PlainImpacts
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.plant.zeno import (
     COLLAPSED,
-    LOW,
     NEGLIGIBLE,
     AccumulationDetector,
     ZenoCutoff,
@@ -46,13 +45,12 @@ class Plant:
         system: the simulated system.
         epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
         closed: indices of the contacts that are closed in the present phase.
-        impacts: impacts of one open contact each, computed ahead.
     """
 
     _crossing: tuple[float, tuple[int, ...]] | None
     _watch: Watch
     _next: Switching | None
-    _moving: PhaseMotion | None
+    _moving: AugmentedMotion | None
 
     def __init__(
         self,
@@ -97,9 +95,6 @@ class Plant:
         self._instant_changes = 0
         self._watch_of = lru_cache(KEPT)(self._watched)
         self._switches = lru_cache(KEPT)(partial(switches, system))
-        gaps = self._watch_of(self._phases.phase(), tuple(range(system.m)))
-        self.impacts = PlainImpacts(self._phases, self._law, gaps.guards, self._zeno.shortest, LOW)
-        self._energetic = 0.0
         self.restart(epoch, np.concatenate([q, u]))
 
     def restart(self, stamp: int, x: Vector) -> None:
@@ -148,34 +143,14 @@ class Plant:
 
     def _soon(self, limit: int) -> Switching | None:
         """The next switching, if it is computed or its stamp is not after ``limit`` (ns)."""
-        if self._flies and (hit := self.impacts.next(limit - self.epoch)) is not None:
-            return self._plain_switching(hit)
         if self._crossing is None:
-            if self._flies:
-                self._crossing = self.impacts.left
-            else:
-                self._crossing = self._hunt.first(self._start.until(limit) + 0.5e-9)
+            self._crossing = self._search.first(self._start.until(limit) + 0.5e-9)
         return self._end(limit)
-
-    def _plain_switching(self, hit: Hit) -> Switching:
-        ns, remainder, contact, energy, before, after = hit
-        instant, contacts = Instant(self.epoch + ns, remainder), (contact,)
-        self._is_plain = True
-        self._energetic = max(self._energetic, energy)
-        changes = self._switches((), contacts, ())
-        return Switching(instant, contacts, (), (), before, after, changes)
 
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
-        if not self._is_plain:
-            self._begin(switching.instant, switching.after, Grip(switching.closed, switching.held))
-            return
-        # The kernel has gone on by itself.
-        self._start, self._state, self._next = switching.instant, switching.after, None
-        self._moving, self._is_plain = None, False
-        self._accumulation.record(switching.instant, switching.contacts, self._energetic)
-        self._instant_changes = 0
+        self._begin(switching.instant, switching.after, Grip(switching.closed, switching.held))
 
     def states(self, stamps: Stamps) -> Vector:
         """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
@@ -196,18 +171,12 @@ class Plant:
         self._watch = self._watch_of(self._phase, opened)
         self._state = x
         self._moving = None
-        self._flies = not grip.closed
-        if self._flies:
-            self.impacts.start(self._time(instant), x)
-        else:
-            guards, window = self._watch.guards, self._phases.scales.window
-            self._hunt = RootSearch(guards, self._motion, window)
+        self._search = RootSearch(self._watch.guards, self._motion)
         self._crossing = None
         self._next = None
-        self._is_plain = False
 
     @property
-    def _motion(self) -> PhaseMotion:
+    def _motion(self) -> AugmentedMotion:
         """The motion of the present phase."""
         if self._moving is None:
             self._moving = self._phase.start(self._time(self._start), self._state)

@@ -35,11 +35,13 @@ class HeldTorques:
         """Of efforts that arrive as these ``samples``."""
         self._samples = samples
         self._known: dict[int, Vector] = {}
-        samples.follow(self._changed, lambda _: None)
+        self._changes = samples.changes
 
     def deviation(self, t: float) -> Vector:
         """Of the white torques at ``t``, s since the epoch, shape (n,), N m sqrt(s)."""
         samples = self._samples
+        if self._changes != samples.changes:
+            self._forget()
         row = int(samples.time.searchsorted(t + _SAME_INSTANT, side="right")) - 1
         number = row + samples.dropped
         back = number % _OFTEN if number >= _OFTEN else 0
@@ -53,8 +55,12 @@ class HeldTorques:
             self._known[number - back] = frozen(found)
         return found
 
-    def _changed(self, first: int, *_: object) -> None:
+    def _forget(self) -> None:
+        """Forget the deviations of samples that have changed."""
+        since = self._samples.changed_since(self._changes)
+        first = int(self._samples.time.searchsorted(since)) + self._samples.dropped
         self._known = {k: each for k, each in self._known.items() if k < first}
+        self._changes = self._samples.changes
 
 
 def _deviation(time: Vector, force: Matrix) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from systems import (
     chain,
     estimates,
     event,
+    flow_of,
     observer,
     reachable,
     run,
@@ -18,7 +19,7 @@ from systems import (
     system,
 )
 
-from impact_observer.dynamics import flow_of, lyapunov
+from impact_observer.dynamics import lyapunov
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.model import System

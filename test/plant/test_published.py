@@ -9,9 +9,8 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from contact_cases import approach, seconds
-from systems import EPOCH, Harmonic, forcing, run, sample, started, system
+from systems import EPOCH, Harmonic, flow_of, forcing, run, sample, started, system
 
-from impact_observer.dynamics import flow_of
 from impact_observer.events import Kind
 from impact_observer.model import parse_model
 from impact_observer.plant import Plant, Switching

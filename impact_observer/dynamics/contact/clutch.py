@@ -13,16 +13,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.dynamics.augmented_flow import AugmentedMotion, Motion
 from impact_observer.dynamics.contact.persistent_contact import (
     Grip,
     ended,
     persistent_contacts,
 )
 from impact_observer.dynamics.contact.projection import KEPT
-from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
+from impact_observer.dynamics.roots import RootSearch
 from impact_observer.dynamics.watched import End, Watch, Watched
-from impact_observer.kernel import PhaseMotion, RootSearch
 from impact_observer.model import System
 from impact_observer.states import Vector
 
@@ -91,7 +91,7 @@ class Part:
 
     start: float
     phase: Phase
-    motion: PhaseMotion
+    motion: AugmentedMotion
     slipping: tuple[int, ...]
     stopped: tuple[int, ...] = ()
 
@@ -147,7 +147,7 @@ class Piecewise(Motion):
             end = min(until, clutches.window * (_SEARCHED - len(self._parts)))
             if self._search is None:
                 guards = self._watch(part).guards
-                self._search = RootSearch(guards, part.motion, clutches.window, least)
+                self._search = RootSearch(guards, part.motion, least)
             crossing = self._search.first(end - part.start)
             if crossing is None or part.start + crossing[0] > end:
                 return

@@ -23,13 +23,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
+from impact_observer.dynamics.augmented_flow import AugmentedFlow, AugmentedMotion, rate_of
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.dynamics.flow.few import Factor, Product, product_with
-from impact_observer.dynamics.flow.flow import Flow, flow_of
-from impact_observer.dynamics.flow.reduced_coordinates import PhaseFrame, ReducedCoordinates
 from impact_observer.dynamics.flow.scales import Scales
-from impact_observer.kernel import PhaseMotion
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -98,11 +96,11 @@ class Phase:
     equations: Equations
     inverse: Matrix
     loads: Matrix
-    flow: Flow
+    flow: AugmentedFlow
     Q: Matrix
     rest: Vector
 
-    def start(self, t: float, x: Vector) -> PhaseMotion:
+    def start(self, t: float, x: Vector) -> AugmentedMotion:
         """The motion through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
         return self.flow.start(t, x)
 
@@ -266,38 +264,18 @@ class Phases:
                 # scipy before 1.14 refuses empty systems
                 linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
             ),
-            flow=self._framed(held, fixed)
-            if held or fixed
-            else flow_of(free.equations, free.scales.shapes),
+            flow=self._flow(held, free, is_fixed=bool(fixed)),
             Q=free.Q,
             rest=free.rest,
         )
 
-    def _framed(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Flow:
-        """Flow of the coordinates that the held contacts leave free."""
-        whole = self.unloaded(fixed)
-        equations, n, none = whole.equations, self.system.n, np.zeros((0, 0))
-        Q, rest = (whole.Q, whole.rest) if fixed else (none, np.zeros(0))
-        if not held:
-            free = ReducedCoordinates(np.arange(n), np.arange(0), np.zeros((0, n)))
-            return flow_of(
-                equations, whole.scales.shapes, PhaseFrame(free, np.eye(n), none, Q, rest)
-            )
+    def _flow(self, held: tuple[int, ...], free: Unloaded, *, is_fixed: bool) -> AugmentedFlow:
+        """The flow of the motion ``free`` on which ``held`` contacts have loads."""
         W = self.system.W[:, list(held)]
-        free = ReducedCoordinates.of_directions(W, equations.M)
-        # Deflections of held contacts that load no other contact.
-        jump = self.projection.jump(self.independent((*held, *fixed)))
-        static = jump[:, : len(held)] @ W.T
-        M = _symmetric(free.restricted(equations.M))
-        C, K = free.restricted(equations.C), _symmetric(free.restricted(equations.K))
-        inverse = np.zeros((free.free.size, n))
-        if free.free.size:
-            inverse = Factor(M).solution(free.seen(equations.M))
-            C = self._cleaned(C, np.diag(M), self._damping)
-            K = self._cleaned(K, np.diag(M), float(np.linalg.norm(whole.scales.squares)))
-        return flow_of(
-            Reduced(M, C, K, equations.forcing), frame=PhaseFrame(free, inverse, static, Q, rest)
-        )
+        rate = rate_of(free.scales.fastest, self._damping)
+        if is_fixed:
+            return AugmentedFlow(free.equations, rate, W, free.Q, free.rest)
+        return AugmentedFlow(free.equations, rate, W)
 
     def _left(self, orthogonal: Matrix) -> Matrix:
         """``M^-1`` restricted to motions along ``orthogonal``."""
@@ -307,7 +285,7 @@ class Phases:
     @cached_property
     def _damping(self) -> float:
         """Size of ``L^-1 C L^-T``, 1/s."""
-        return float(np.linalg.norm(self.white(self.white(self.system.C).T)))
+        return float(np.linalg.norm(self.white(self.white(self.system.C).T), 2))
 
     def _cleaned(self, restricted: Matrix, mass: Vector, whole: float) -> Matrix:
         """A restricted matrix with exact zeros where only rounding is left.

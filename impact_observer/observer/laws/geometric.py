@@ -10,10 +10,12 @@ from impact_observer.events import Contacts
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.uncertainty import Uncertainty
-from impact_observer.kernel import one_impact
 from impact_observer.model import System
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Matrix, Vector
+
+_FADED = 1e-100
+"""Difference of replicas that is as good as zero: denormal numbers are slow."""
 
 
 class Geometric(ReplicaLaw):
@@ -37,12 +39,11 @@ class Geometric(ReplicaLaw):
         super().__init__(system, uncertainty, moving)
         self._newton = ImpactLaw(system)
         self._projection = self._clutches.phases.projection
-        self._none = np.zeros((2 * system.n, 0))
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``q+`` by projection, ``u+`` by Newton's law."""
         if self._is_single(active, closed):
-            return self._one_impact(active[0], x, self._none)[0]
+            return self._after_one(active[0], x)
         n = self.system.n
         position = self._projection.position_after(x[:n], active)
         if closed and closed != active:  # if not all gaps can be zero, those of ``closed`` are
@@ -64,17 +65,34 @@ class Geometric(ReplicaLaw):
         """At a single contact each difference jumps by itself, however small."""
         if not self._is_single(active, closed):
             return super().impact_ensemble(before, x, active, closed)
-        return Ensemble(x, self._one_impact(active[0], before.x, before.differences)[1])
+        w, z, kick = self._jump(active[0])
+        n, others = self.system.n, np.array(before.differences)
+        gamma = w.dot(before.x[n:])
+        speeds = w @ others[n:]
+        lost = np.where(
+            (gamma > 0) | (gamma + speeds > 0),
+            np.minimum(gamma + speeds, 0.0) - min(gamma, 0.0),
+            speeds,  # both approach: however small the difference is
+        )
+        others[:n] -= np.outer(z, w @ others[:n])
+        others[n:] -= np.outer(kick, lost)
+        others[np.abs(others) < _FADED] = 0.0
+        return Ensemble(x, others)
 
     def _is_single(self, active: Contacts, closed: Contacts) -> bool:
-        """Whether the kernel knows the jump: one contact impacts, none is closed after it."""
+        """Whether one contact with a constant coefficient impacts, and none is closed after."""
         return len(active) == 1 and not closed and self.system.is_plain(active)
 
-    def _one_impact(self, contact: int, x: Vector, differences: Matrix) -> tuple[Vector, Matrix]:
-        """A replica and its differences, one a column, after the impact of one contact."""
-        system, z = self.system, self._projection.jump((contact,))[:, 0]
-        w, kick = system.W[:, contact], self._newton.kick(contact)
-        return one_impact(w, float(system.q_r[contact]), kick, z, x, differences)
+    def _jump(self, contact: int) -> tuple[Vector, Vector, Vector]:
+        """Direction, position jump by a unit gap and kick of a contact, shape (n,) each."""
+        z = self._projection.jump((contact,))[:, 0]
+        return self.system.W[:, contact], z, self._newton.kick(contact)
+
+    def _after_one(self, contact: int, x: Vector) -> Vector:
+        """A replica, shape (2n,), after the impact of one contact."""
+        (w, z, kick), n = self._jump(contact), self.system.n
+        gap, gamma = w.dot(x[:n]) + self.system.q_r[contact], w.dot(x[n:])
+        return np.concatenate([x[:n] - gap * z, x[n:] - min(gamma, 0.0) * kick])
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed."""

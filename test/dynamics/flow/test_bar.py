@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import integrate
-from systems import Harmonic, chain, forcing, run, system
+from systems import Harmonic, chain, flow_of, forcing, run, system
 
-from impact_observer.dynamics import Phases, flow_of
-from impact_observer.dynamics.flow.eigenmodes import modes_of
+from impact_observer.dynamics import Phases
 from impact_observer.model import System
 from impact_observer.stamps import seconds_between
 
@@ -28,21 +27,6 @@ def bar(n: int) -> System:
     last = np.eye(n)[-1]
     force = forcing(n, np.zeros(n), [Harmonic(FREQUENCY, [0.0] * n, (FORCE * last).tolist())])
     return system(M, 0.2 * M + 1e-2 * K, K, contacts=[(-last, GAP, 0.0)], force=force)
-
-
-@pytest.mark.parametrize("n", [2, 40, 200])
-def test_modes_of_a_bar_are_found_to_the_last_digits(n: int) -> None:
-    """``omega^2 = 6 n^2 (1 - cos a) / (2 + cos a)``, ``a`` odd multiples of ``pi / 2n``."""
-    model = bar(n)
-    squares, shapes = modes_of(model.M, model.K)
-    angle = (np.arange(n) + 0.5) * np.pi / n
-    expected = 12 * n**2 * np.sin(angle / 2) ** 2 / (2 + np.cos(angle))
-    np.testing.assert_allclose(squares, expected, rtol=1e-14)
-    np.testing.assert_allclose(shapes.T @ model.M @ shapes, np.eye(n), rtol=0, atol=2e-14)
-    exact = np.sin(np.outer(np.arange(1, n + 1), angle))
-    exact /= np.sqrt(np.einsum("ij,ij->j", exact, model.M @ exact))
-    exact *= np.sign(np.einsum("ij,ij->j", exact, model.M @ shapes))
-    np.testing.assert_allclose(shapes, exact, rtol=0, atol=1e-12)
 
 
 def integrated(model: System) -> list[float]:

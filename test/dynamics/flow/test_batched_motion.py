@@ -10,12 +10,13 @@ from systems import (
     Harmonic,
     chain,
     examples,
+    flow_of,
     forcing,
     system,
     systems,
 )
 
-from impact_observer.dynamics.flow.flow import Motion, flow_of
+from impact_observer.dynamics import Motion
 from impact_observer.model import System
 
 SIZES = (1, 2, 3, 4, 5, 7, 8, 9, 15, 16, 17, 31, 33, 64, 100, 257, 1000)

@@ -6,7 +6,6 @@ import pytest
 from numpy.typing import NDArray
 
 from impact_observer.dynamics.flow.few import Factor, product_with
-from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
 
 Array = NDArray[np.float64]
 SIZES = pytest.mark.parametrize(
@@ -44,15 +43,3 @@ def test_a_factor_solves_like_the_full_one(n: int, width: int, columns: int | No
     np.testing.assert_array_equal(B, given)
     if columns is None:
         np.testing.assert_allclose(factor.transposed(B), full.T @ B, atol=1e-12)
-
-
-@pytest.mark.parametrize("p", [1, 2, 4])
-def test_a_matrix_is_restricted_as_by_products_with_shapes(p: int) -> None:
-    """Contacts see every coordinate here; no matrix is symmetric."""
-    rng = np.random.default_rng(p)
-    A, W = rng.normal(size=(4, 4)), rng.normal(size=(4, p))
-    free = ReducedCoordinates.of_directions(W, positive(4, 1))
-    shapes = free.all(np.eye(free.free.size)).T
-    np.testing.assert_allclose(free.seen(A), shapes.T @ A, atol=1e-12)
-    expected = shapes.T @ A @ shapes
-    np.testing.assert_allclose(free.restricted(A), expected, atol=1e-11)

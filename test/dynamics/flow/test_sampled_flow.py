@@ -5,9 +5,8 @@ import numpy as np
 import precise
 import pytest
 from numpy.typing import ArrayLike, NDArray
-from systems import LAPLACIAN, chain, forcing, sample, system
+from systems import LAPLACIAN, chain, flow_of, forcing, sample, system
 
-from impact_observer.dynamics import flow_of
 from impact_observer.errors import DynamicsError
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
@@ -128,16 +127,13 @@ def test_samples_add_to_harmonics_and_a_constant() -> None:
     mixed = Forcing(both.constant, both.frequency, both.cosine, both.sine, samples)
     s, rest = np.linspace(0.0, 2.0, 5), np.zeros(6)
 
-    class Equations:
-        n, M, C, K = 3, base.M, base.C, base.K
-        forcing = mixed
-
     parts = [
         system(base.M, base.C, base.K, force=force)
         for force in (both, Forcing.of_samples(samples))
     ]
     summed = sum(flow_of(part).start(0.2, rest).states(s) for part in parts)
-    found = flow_of(Equations()).start(0.2, rest).states(s)
+    whole = system(base.M, base.C, base.K, force=mixed)
+    found = flow_of(whole).start(0.2, rest).states(s)
     np.testing.assert_allclose(found, summed, atol=1e-14)
 
 
