@@ -131,12 +131,15 @@ def _remarks(run: "Run", system: "System | Robot", seconds: float) -> "Iterator[
     """Remarks on a run of a system over ``seconds``."""
     from impact_observer.model import System
     from impact_observer.model.system import unit_of
-    from impact_observer.robots.robot import held_joints
+    from impact_observer.robots.robot import Robot, held_joints
 
     if line := system.held_force(seconds):
         yield f"warning: {line}"
     if line := held_joints(system):
         yield f"note: {line}"
+    if isinstance(system, Robot):
+        for name in system.passed_limits(run.states):
+            yield f"note: {name} passes its limits in the URDF, which are no contacts"
     if not run.switchings and system.m:
         gap, contact = run.nearest(system)
         unit = unit_of("m", system.unit) if isinstance(system, System) else "m"

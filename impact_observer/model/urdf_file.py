@@ -64,6 +64,11 @@ def _numbers(element: ET.Element | None, attribute: str) -> list[float]:
         return []  # the library that makes the robot names the word
 
 
+def _is_direction(numbers: list[float]) -> bool:
+    """Whether a vector has a length that can be divided by."""
+    return 1 / LARGEST < math.hypot(*numbers) < LARGEST
+
+
 @dataclass(frozen=True, slots=True)
 class Urdf:
     """The links and joints of a URDF.
@@ -105,6 +110,11 @@ class Urdf:
         if len(roots) != 1 or len(set(children)) != len(children):
             shown = ", ".join(roots[:5]) or "no link"
             raise self.wrong(f"is no tree: the root is {shown}; expected one root")
+        tree = {*roots}
+        while branches := {j.child for j in joints if j.parent in tree} - tree:
+            tree |= branches
+        if apart := [link for link in links if link not in tree]:
+            raise self.wrong(f"is no tree: link {apart[0]!r} is part of a cycle; expected a tree")
         object.__setattr__(self, "links", links)
         object.__setattr__(self, "joints", found)
 
@@ -157,7 +167,7 @@ class Urdf:
 
         axis = element.find("axis")
         numbers = _numbers(axis, "xyz")
-        if axis is not None and kind in UNITS_BY_TYPE and numbers and not any(numbers):
+        if axis is not None and kind in UNITS_BY_TYPE and numbers and not _is_direction(numbers):
             found = f"joint {name!r} has the axis {axis.get('xyz')!r}"
             raise self.wrong(f"{found}; expected a direction, such as '0 0 1'")
 

@@ -46,17 +46,23 @@ def pinocchio_model(robot: RobotDescription) -> Pinocchio:
         ModelError: pinocchio does not take the URDF.
     """
     pin, urdf = imported_pinocchio(), robot.known_urdf
-    said, reasons, whole = list[str](), list[str](), None
+    said, reasons, model = list[str](), list[str](), None
     try:
         with _stderr_kept(said):
-            whole = pin.buildModelFromXML(_plain_text(robot))
-    except (ValueError, RuntimeError) as error:
+            model = _reduced_model(pin, robot)
+    except (ValueError, RuntimeError, IndexError) as error:
         reasons = [str(error) or "no reason given"]
     # Where a number is none, the library prints so, and goes on without the inertia.
     reasons = [each.removeprefix("Error:") for each in said if each.startswith("Error:")] + reasons
-    if whole is None or reasons:
+    if model is None or reasons:
         words = "; ".join(" ".join(each.split()) for each in reasons)
         raise urdf.wrong(f"pinocchio cannot read it: {words}")
+    return model
+
+
+def _reduced_model(pin: Pinocchio, robot: RobotDescription) -> Pinocchio:
+    """The model of ``pinocchio_model``; the library raises where it cannot read the URDF."""
+    whole = pin.buildModelFromXML(_plain_text(robot))
     held = {name: value for name, value in robot.holds.items() if whole.existJointName(name)}
     position = pin.neutral(whole)
     for name, value in held.items():

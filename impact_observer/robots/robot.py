@@ -686,6 +686,12 @@ class Robot:
         """Indices of the joints whose limits in the URDF do not contain ``q``."""
         return tuple(np.flatnonzero((q < self.lower) | (q > self.upper)).tolist())
 
+    def passed_limits(self, states: Matrix) -> list[str]:
+        """Names of the joints whose limits some of the ``states``, shape (samples, 2n), pass."""
+        q = states[:, : self.n]
+        passed = np.any((q < self.lower) | (q > self.upper), axis=0)
+        return [self.coordinates[i] for i in np.flatnonzero(passed)]
+
     def _check_mass(self) -> None:
         M = self.mass(np.zeros(self.n))
         diagonal = np.diag(M)

@@ -11,7 +11,7 @@ from impact_observer.events import Kind
 from impact_observer.model import Forcing
 from impact_observer.plant import Run, simulate
 from impact_observer.plant.zeno import LOW, SHORT
-from impact_observer.stamps import NS_PER_S, from_seconds, grid
+from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 
 Array = NDArray[np.float64]
 
@@ -126,6 +126,17 @@ def test_row_of_beads_without_load_collapses_in_few_impacts(eps: float) -> None:
     np.testing.assert_allclose(momentum, -0.3, rtol=0, atol=1e-13)
     # They move together, as far as impacts closer than rounding can be resolved.
     np.testing.assert_allclose(found.states[-1, 3:], -0.1, rtol=0, atol=3e-4)
+
+
+def test_masses_that_collapse_stay_together_from_the_accumulation_on() -> None:
+    """For a restitution of 0.05 impacts accumulate at 19/14 s; then all have the mean speed."""
+    contacts = [([-1, 1, 0], 0.0, 0.05), ([0, -1, 1], 0.0, 0.05)]
+    model = free(3, contacts=contacts, force=Forcing.none(3))
+    found = run(model, [0.0, 1.0, 2.5], [1.0, 0.0, -1.0], seconds=5.0)
+    last = found.switchings[-1]
+    assert last.closed == (0, 1)
+    assert seconds_between(EPOCH, last.instant.stamp) == pytest.approx(19 / 14, abs=1e-7)
+    np.testing.assert_allclose(found.states[-1], [7 / 6] * 3 + [0.0] * 3, rtol=0, atol=1e-8)
 
 
 @pytest.mark.slow

@@ -331,6 +331,7 @@ def test_what_the_parser_of_a_urdf_prints_is_the_error(
     [
         ('<mass value="', '<mass value="-', r"link '\w+' has a mass of -[\d.]+ kg"),
         ('<axis xyz="[^"]*"', '<axis xyz="0 0 0.0"', r"joint 'hinge' has the axis '0 0 0.0'"),
+        ('<axis xyz="[^"]*"', '<axis xyz="1e200 0 0"', r"joint 'hinge' has the axis '1e200 0 0'"),
     ],
 )
 def test_a_mass_or_an_axis_that_no_robot_has_is_named(old: str, new: str, fault: str) -> None:
@@ -338,6 +339,36 @@ def test_a_mass_or_an_axis_that_no_robot_has_is_named(old: str, new: str, fault:
     text = re.sub(old, new, PENDULUM, count=1)
     with pytest.raises(ModelError, match=f"{fault}.*expected"):
         model_of(text, "hinge")
+
+
+def test_links_in_a_cycle_are_named() -> None:
+    """Two links that are each other's parents are no part of the tree of the root."""
+    links = '<link name="one"/><link name="two"/>'
+    joints = "".join(
+        f'<joint name="{a}{b}" type="fixed"><parent link="{a}"/><child link="{b}"/></joint>'
+        for a, b in (("one", "two"), ("two", "one"))
+    )
+    with pytest.raises(ModelError, match="'one'"):
+        model_of(PENDULUM.replace("</robot>", f"{links}{joints}</robot>"), "hinge")
+
+
+def test_a_link_that_pinocchio_cannot_name_is_an_error_of_the_urdf() -> None:
+    """The world of the library has the name ``universe``."""
+    first = re.findall('<link name="([^"]*)"', PENDULUM)[0]
+    model = model_of(PENDULUM.replace(f'"{first}"', '"universe"'), "hinge")
+    with pytest.raises(ModelError, match="universe"):
+        Robot(described(model))
+
+
+def test_joints_that_pass_their_limits_are_named() -> None:
+    """Nothing stops a joint at a limit."""
+    limit = '<limit lower="-0.5" upper="0.5" velocity="5" effort="10"/>'
+    revolute = PENDULUM.replace('"continuous"', '"revolute"', 1)
+    text = revolute.replace('<axis xyz="0 -1 0"/>', f'<axis xyz="0 -1 0"/>{limit}', 1)
+    robot = Robot(described(model_of(text, "hinge")))
+    inside = np.array([[0.4, 9.0], [-0.5, 0.0]])
+    assert robot.passed_limits(inside) == []
+    assert robot.passed_limits(np.vstack([inside, [0.51, 0.0]])) == ["hinge"]
 
 
 def test_a_start_inside_a_plane_is_an_error() -> None:
