@@ -189,7 +189,9 @@ class ImpactFilter:
         near = self.near(state.x)
         seen = near.W[:, contact] @ state.root[: near.n]
         seen = seen + self.members.gap_sensitivity((contact,))[0] @ state.root[state.of_theta]
-        return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(own @ own.T), own @ seen)))
+        own = own / np.linalg.norm(own, axis=1)[:, None]  # of full rank without correlations of 1
+        along, *_ = np.linalg.lstsq(own.T, seen, rcond=None)
+        return float(np.linalg.norm(own.T @ along))
 
     def largest_energy(self, largest: Vector) -> float:
         """The root of twice the energy of a motion of the magnitude ``largest``, (2n,), sqrt(J).

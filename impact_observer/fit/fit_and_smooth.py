@@ -21,9 +21,11 @@ from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parameters_beside, parametric_family
 from impact_observer.model.model_file import FITS, ModelText, edited
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
+from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.observer import Options
 from impact_observer.smooth.bag_smoothing import BagSmoothing, smooth_bag
 from impact_observer.stamps import seconds_between
+from impact_observer.states import Matrix
 
 _PHASES = "forcing-phase", "ground-phase"
 """Kinds of parameters that are free where the epoch is unknown."""
@@ -64,11 +66,43 @@ class FitTask:
         """Names of the parameters to identify: with a deviation, or phases without an epoch."""
         known = self.model.uncertainty
         names = () if known is None else known.names
+        return (*names, *(name for name in self._phases if name not in names))
+
+    @property
+    def _phases(self) -> list[str]:
+        """Names of the phases that are free because nothing says the epoch."""
         if self.knows_epoch:
-            return names
+            return []
         every = parameters_beside(parametric_family(self.model.system, (), self.model.elements))
-        phases = [each.name for each in every if each.name.startswith(_PHASES)]
-        return (*names, *(name for name in phases if name not in names))
+        return [each.name for each in every if each.name.startswith(_PHASES)]
+
+    def shifting_together(self, family: ParametricFamily) -> tuple[ParametricFamily, Matrix]:
+        """The family in which all unknown phases of one frequency change by the same.
+
+        These phases are known up to the epoch, so a single number is unknown.
+
+        Args:
+            family: the parameters ``free``.
+
+        Returns:
+            The family of r parameters, and the change of each parameter of ``family`` by a unit
+            of each of the r, shape (p, r).
+        """
+        known = self.model.uncertainty
+        unknown = {*self._phases} - {*(() if known is None else known.names)}
+        rows = dict[str | float, list[int]]()
+        for k, each in enumerate(family.parameters):
+            frequency = float(each.effect.phase @ family.system.forcing.frequency)
+            rows.setdefault(frequency if each.name in unknown else each.name, []).append(k)
+        changes, parameters = np.zeros((family.size, len(rows))), list(family.parameters)
+        for j, own in enumerate(rows.values()):
+            changes[own, j] = 1.0
+            phase = np.sum([parameters[k].effect.phase for k in own], axis=0)
+            if len(own) > 1:
+                effect = Coefficients.change(family.system, phase=phase)
+                parameters[own[0]] = replace(parameters[own[0]], effect=effect)
+        first = tuple(parameters[own[0]] for own in rows.values())
+        return ParametricFamily(family.system, first), changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,9 +182,10 @@ def _identified(
     if prior is not None and prior.is_fitted_to(each.stamp for each in events):
         prior = None
     family = parametric_family(replace(model.system, live=None), task.free, model.elements)
+    together, changes = task.shifting_together(family)
     try:
         found = identify(
-            family,
+            together,
             events,
             clock=None if clock < 0 else clock,
             progress=lambda what: show(f"{family.system.name}: {what}"),
@@ -159,6 +194,13 @@ def _identified(
         )
     except (IdentificationError, DynamicsError) as error:
         return None, str(error)
+    every = block_diag(np.eye(found.start.size), changes)
+    found = replace(
+        found,
+        family=family,
+        values=changes @ found.values,
+        covariance=every @ found.covariance @ every.T,
+    )
     return found, fit_report.why_useless(found)
 
 
@@ -185,13 +227,19 @@ def _smoothed_model(task: FitTask, model: Model, found: Identification | None) -
     if found is None or not found.converged:
         return model
     known = task.model.uncertainty or ParameterUncertainty((), np.zeros((0, 0)))
-    errors = dict(zip(found.family.names, (_VAGUE * found.errors).tolist(), strict=True))
-    changes = {name: error for name, error in errors.items() if name not in known.names}
-    if (cause := found.cause) is not None:
-        given = parametric_family(model.system, (cause.name,), model.elements).nominal
-        changes[cause.name] = cause.value - float(given[0])
-    covariance = block_diag(known.covariance, np.diag(np.square([*changes.values()])))
-    return replace(model, uncertainty=ParameterUncertainty((*known.names, *changes), covariance))
+    _, changes = task.shifting_together(found.family)
+    most = [each.deviation_range[1] for each in found.family.parameters]
+    errors = np.minimum(_VAGUE * found.errors, most)
+    cause = () if found.cause is None else (found.cause.name,)
+    own = [k for k, name in enumerate(found.family.names) if name not in (*known.names, *cause)]
+    phases = (np.outer(errors, errors) * (changes @ changes.T))[np.ix_(own, own)]
+    blocks = [known.covariance, phases]
+    if found.cause is not None:
+        (given,) = parametric_family(model.system, cause, model.elements).parameters
+        change = abs(found.cause.value - given.value)
+        blocks.append(np.array([[min(change, given.deviation_range[1]) ** 2]]))
+    names = *known.names, *(found.family.names[k] for k in own), *cause
+    return replace(model, uncertainty=ParameterUncertainty(names, block_diag(*blocks)))
 
 
 def _options(task: FitTask, model: Model, found: Identification | None) -> Options:

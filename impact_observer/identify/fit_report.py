@@ -32,7 +32,7 @@ from impact_observer.identify.unreported import dead_time_of, has_rows
 from impact_observer.identify.written_uncertainty import written_uncertainty
 from impact_observer.model import ParameterUncertainty, parse_model
 from impact_observer.model.declared_deviations import without_deviations
-from impact_observer.model.free_parameters import OFFSET, is_observed
+from impact_observer.model.free_parameters import OFFSET, is_observed, is_phase
 from impact_observer.model.model_file import VERDICT, ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
 from impact_observer.output_files import replacing
@@ -680,15 +680,19 @@ def _about_check(fitted: Identification, check: FitCheck) -> Iterator[ReportLine
 
 
 def why_useless(fitted: Identification) -> str:
-    """Why values are not written into a model, whether or not it fits; empty where they are."""
+    """Why values are not written into a model, whether or not it fits; empty where they are.
+
+    A phase that is not determined is written with a deviation of half a turn.
+    """
     if not fitted.converged:
         return "no motion explains these impacts"
-    if fitted.undetermined:
-        terms = (combination(direction) for direction in fitted.undetermined)
-        return f"not determined: {listed(terms)}"
+    if left := [each for each in fitted.undetermined if not all(map(is_phase, each))]:
+        return f"not determined: {listed(map(combination, left))}"
     errors = zip(fitted.family.parameters, fitted.errors.tolist(), strict=True)
     if vague := [
-        f"{p.name} +- {error:.2g}" for p, error in errors if error > p.deviation_range[1]
+        f"{p.name} +- {error:.2g}"
+        for p, error in errors
+        if error > p.deviation_range[1] and not is_phase(p.name)
     ]:
         return f"not determined: {listed(vague)}"
     return f"at a bound: {listed(fitted.bounded)}" if fitted.bounded else ""

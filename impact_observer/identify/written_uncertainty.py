@@ -9,11 +9,13 @@ from scipy import linalg
 from impact_observer.errors import UsageError
 from impact_observer.events import Kind
 from impact_observer.identify.identification import Identification
-from impact_observer.model.free_parameters import OFFSET
+from impact_observer.model.free_parameters import OFFSET, is_phase
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 
 _RATIOS = ("-scale", "-amplitude")
 """Ends of the kinds of parameters whose value is 1 in any model file."""
+_HALF_TURN = np.pi * (1 - 1e-9)
+"""Largest deviation of a phase, rad, below the one that a model file may have by rounding."""
 
 
 def written_uncertainty(
@@ -22,12 +24,14 @@ def written_uncertainty(
     """The covariance of the fitted parameters, and of those ``given`` that were not fitted.
 
     The initial state is marginalised. The clock's offset belongs to the sensor and is left out.
-    None if nothing is left.
+    The deviation of a phase is at most half a turn. None if nothing is left.
     """
     names, first = fitted.family.names, fitted.start.size
     own = [j for j, name in enumerate(names) if name != OFFSET]
     # A ratio is relative to the file that is written.
-    unit = [fitted.values[j] if _is_ratio(names[j]) else 1.0 for j in own]
+    ratios = [fitted.values[j] if _is_ratio(names[j]) else 1.0 for j in own]
+    turns = [fitted.errors[j] / _HALF_TURN if is_phase(names[j]) else 1.0 for j in own]
+    unit = np.multiply(ratios, np.maximum(turns, 1.0))
     rows = [first + j for j in own]
     blocks = [fitted.covariance[np.ix_(rows, rows)] / np.outer(unit, unit)]
     known = [names[j] for j in own]

@@ -167,6 +167,38 @@ def test_a_known_epoch_keeps_the_phase(run: Run, rig: Path) -> None:
     assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
 
 
+def test_forces_of_one_frequency_keep_their_phases_to_each_other(run: Run, rig: Path) -> None:
+    """Without an epoch two forces half a turn apart are late by one time."""
+    pair = (
+        "forces: [{body: x2, amplitude: 6, frequency: 2.5},"
+        " {body: x2, amplitude: 2, frequency: 2.5, phase: 3.141592653589793}]"
+    )
+    (force,) = (line for line in MODEL.splitlines() if line.startswith("forces"))
+    text = MODEL.replace(force, pair).replace("RESTITUTION", UNKNOWN)
+    (rig / "rig.yaml").write_text(text)
+    assert main(["fit", typed_times(run, rig).name, "rig.yaml", "-o", "out"]) == 0
+    fitted = read_model(rig / "out" / "fitted.yaml")
+    assert fitted.system.eps[0] == pytest.approx(0.7, abs=0.01)
+    cosine, sine = fitted.system.forcing.cosine[:, 1], fitted.system.forcing.sine[:, 1]
+    first, second = np.arctan2(-sine, cosine)
+    assert np.cos(second - first) == pytest.approx(-1.0)
+    assert fitted.uncertainty is not None
+    correlation = fitted.uncertainty.correlation(["forcing-phase.1", "forcing-phase.2"])
+    assert correlation == pytest.approx(np.ones((2, 2)))
+
+
+def test_a_phase_that_impacts_do_not_tell_is_uncertain_by_half_a_turn(run: Run, rig: Path) -> None:
+    """A force of another frequency that hardly moves the rig."""
+    weak = "forces: [{body: x1, amplitude: 1.0e-5, frequency: 3.7}, "
+    (rig / "rig.yaml").write_text(MODEL.replace("forces: [", weak).replace("RESTITUTION", UNKNOWN))
+    assert main(["fit", typed_times(run, rig).name, "rig.yaml", "-o", "out"]) == 0
+    fitted = read_model(rig / "out" / "fitted.yaml")
+    assert fitted.system.eps[0] == pytest.approx(0.7, abs=0.01)
+    assert fitted.uncertainty is not None
+    deviation = fitted.uncertainty.deviation_by_name["forcing-phase.1"]
+    assert deviation == pytest.approx(np.pi)
+
+
 @pytest.mark.parametrize(
     ("words", "named"),
     [
