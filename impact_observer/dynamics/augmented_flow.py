@@ -296,9 +296,9 @@ class AugmentedFlow:
         return np.asarray(self.exponential.between(length).dot(z))
 
     def polynomials_of(self, z: Matrix) -> NDArray[np.float64]:
-        """Taylor coefficients of (q, u) from states ``z``, (steps, N): (steps, TERMS, 2n)."""
-        c = np.matmul(self._states, z[:, :, None])
-        return np.asarray(c.reshape(len(z), TERMS, 2 * self.n))
+        """Taylor coefficients of (q, u) from states ``z``, (steps, N): (TERMS, 2n, steps)."""
+        c = np.matmul(self._states, z[:, :, None]).reshape(len(z), TERMS, 2 * self.n)
+        return np.asarray(c.transpose(1, 2, 0))
 
 
 class AugmentedMotion(Motion):
@@ -403,8 +403,8 @@ class AugmentedMotion(Motion):
         j = np.maximum(np.searchsorted(steps.start, s, side="right") - 1, 0)
         x = (s - steps.start[j]) / flow.exponential.step
         if s.size < len(steps.z):
-            return polynomials(flow.polynomials_of(steps.z[j]), x)
-        return polynomials(flow.polynomials_of(steps.z)[j], x)
+            return np.asarray(polynomials(flow.polynomials_of(steps.z[j]), x).T)
+        return np.asarray(polynomials(flow.polynomials_of(steps.z)[..., j], x).T)
 
 
 def rate_of(fastest: float, damping: float) -> float:

@@ -89,16 +89,16 @@ def _short(number: float) -> float:
     return math.ldexp(math.floor(mantissa * 2**20), exponent - 20)
 
 
-def polynomials(coefficients: NDArray[np.float64], x: Vector) -> NDArray[np.float64]:
-    """Values of polynomials, summed element by element: shape (samples, r).
+def polynomials(c: NDArray[np.float64], x: Vector) -> NDArray[np.float64]:
+    """Values of polynomials, shape (r, samples).
 
-    A value does not depend on the other samples, to the bit.
+    Terms are added in their order, so a value does not depend on the other samples, to the bit.
 
     Args:
-        coefficients: shape (samples, TERMS, r), from the constant on.
+        c: coefficients, from the constant on, shape (TERMS, r, samples).
         x: shape (samples,).
     """
-    factors = np.empty((x.size, TERMS))
-    factors[:, 0], factors[:, 1:] = 1.0, x[:, None]
-    np.multiply.accumulate(factors, axis=1, out=factors)
-    return np.asarray(np.add.reduce(coefficients * factors[:, :, None], axis=1))
+    powers = np.empty((TERMS, 1, x.size))
+    powers[0], powers[1:] = 1.0, x
+    np.multiply.accumulate(powers, axis=0, out=powers)
+    return np.asarray(np.add.reduce(c * powers, axis=0))

@@ -76,6 +76,7 @@ class Guards:
         rows = exponential.rows(R)
         self._rows = rows.reshape(-1, R.shape[1])
         self._sizes = np.abs(rows)
+        self._scale = self._sizes[:3].sum(axis=0)
 
     def first_root(
         self, steps: Steps, since: float, is_start: bool
@@ -103,7 +104,7 @@ class Guards:
         if lowest.min() >= 0:
             return None
         c, lowest = c.reshape(TERMS, w, count), lowest.reshape(w, count)
-        scale = self._sizes[:3].sum(axis=0) @ np.abs(steps.z).max(axis=0)
+        scale = self._scale @ np.abs(steps.z).max(axis=0)
         depths = DEPTH * scale * (1 + float(steps.start[0]) / (steps.end - float(steps.start[0])))
         doubtful = lowest < -depths[:, None]
         first = int(np.searchsorted(steps.start, since, side="right")) - 1
@@ -120,7 +121,7 @@ class Guards:
                 found = first_below(g, depth, low)
                 x = x if found is None else min(x, found)
             if x <= 1.0:
-                values = polynomials(c[None, :, :, j], np.array([x]))[0]
+                values = polynomials(c[:, :, j : j + 1], np.array([x]))[:, 0]
                 which = values <= np.maximum(ZERO * scale, np.min(values))
                 return start + x * length, tuple(np.flatnonzero(which).tolist())
         return None
