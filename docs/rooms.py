@@ -27,7 +27,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (Room("dynamics", "flow of a phase, contact laws, guards and event location"),),
     (Room("robots", "rigid bodies of a URDF: motion, contacts, derivatives", "pinocchio"),),
     (
-        Room("plant", "event-driven and time-stepping plant, sensor and its faults"),
+        Room("plant", "event-driven plant, sensor and its faults"),
         Room("filter", "Kalman filter of impact times, saltation, hypotheses", ""),
     ),
     (

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes what docs and YAML samples take from the code: ./dev docs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from docs import rooms
@@ -15,39 +15,8 @@ ROOT = Path(__file__).resolve().parents[1]
 _SIM_TIME = Option("use_sim_time", False, "follow /clock, of a simulation or a bag")
 _SAMPLES: dict[str, Value] = {"model": "two_mass", "sources": "switch"}
 """What stands in the samples for options that have no default."""
-_BEGIN, _END = "<!-- rooms, by ./dev docs -->", "<!-- end of rooms -->"
 _COLUMN = 34
 """Where the comments of a sample begin."""
-_PAGE = """\
-# Options and parameters
-
-Made by `./dev docs` from the tables in the code (`impact_observer/options.py`,
-`sensor_faults.py`, `ros/parameters.py`). Nodes read their parameters at the start; the next
-table has those that may be set later. Others are read-only: start the node again.
-A whole number is accepted for a double: `-p rate:=100`.
-
-## Parameters of an observer that may be set while it runs
-
-`ros2 param set /observer rate 50.0`. The log and `/diagnostics` say from when a value acts.
-
-{live}
-
-## Options of observers
-
-The commands `observe`, `compare --laws` and `sweep` take them as arguments, the node `observer` as
-parameters. `--epoch` is in seconds, the parameter in nanoseconds. In `sweep` it is also
-the epoch of the simulation, by default 1 s. There the simulated sensor has options of the same
-names: those of observers are `--observer-missed` and so on.
-
-{observer}
-
-## Faults of a simulated sensor
-
-Arguments of `simulate`, lists of values in `sweep`, and parameters `sensor.*` of the node `plant`.
-Each fault draws from a random stream of its own, so that adding one changes nothing of the others.
-
-{faults}
-"""
 
 
 def cell(value: Value) -> str:
@@ -65,42 +34,63 @@ def row(*cells: str) -> str:
 
 def arguments(table: Sequence[Option]) -> str:
     """A table of options for the command line."""
-    head = row("argument", "parameter", "default", "unit", "allowed", "meaning")
-    lines = [head, "|---" * 6 + "|"]
+    lines = [row("argument", "default", "unit", "allowed", "meaning"), "|---" * 5 + "|"]
     for each in table:
-        flag = "" if each.name == "history" else f"`{each.long_flag}`"
-        name = f"`{each.name}`"
-        lines.append(row(flag, name, cell(each.default), each.unit, each.limits, each.meaning))
+        if each.name != "history":  # of nodes alone
+            flag = f"`{each.long_flag}`"
+            lines.append(row(flag, cell(each.default), each.unit, each.limits, each.meaning))
     return "\n".join(lines)
 
 
 def live_parameters(table: Sequence[Option]) -> str:
-    """A table of the parameters that may be set while a node runs."""
-    lines = [row("parameter", "acts"), "|---" * 2 + "|"]
-    return "\n".join([*lines, *(row(f"`{each.name}`", each.live) for each in table if each.live)])
+    """A list of the parameters that may be set while a node runs, by when they act."""
+    names: dict[str, list[str]] = {}
+    for each in table:
+        if each.live:
+            names.setdefault(each.live, []).append(f"`{each.name}`")
+    return "\n".join(f"- {', '.join(found)}: {acts}" for acts, found in names.items())
 
 
-def parameters(table: Sequence[Option]) -> str:
-    """A table of a node's parameters."""
-    head = row("parameter", "type", "default", "unit", "allowed", "meaning")
-    lines = [head, "|---" * 6 + "|"]
-    lines += [
-        row(f"`{p.name}`", p.type, cell(p.default), p.unit, p.limits, p.meaning) for p in table
-    ]
+def parameters() -> str:
+    """A table of the parameters of all nodes, without those that are options of commands."""
+    options = {each.name for each in OBSERVER_OPTIONS} - {"history"}
+    nodes: dict[Option, list[str]] = {}
+    for node, table in TABLES.items():
+        for each in table:
+            of_commands = node == "observer" and each.name in options
+            if not of_commands and not each.name.startswith("sensor."):
+                nodes.setdefault(each, []).append(node)
+    head = row("parameter", "nodes", "type", "default", "unit", "allowed", "meaning")
+    lines = [head, "|---" * 7 + "|"]
+    for p, found in nodes.items():
+        of = "all" if len(found) == len(TABLES) else ", ".join(found)
+        cells = (f"`{p.name}`", of, p.type, cell(p.default), p.unit, p.limits, p.meaning)
+        lines.append(row(*cells))
     return "\n".join(lines)
 
 
-def page() -> str:
-    """docs/parameters.md."""
-    parts = [
-        _PAGE.format(
-            live=live_parameters(TABLES["observer"]),
-            observer=arguments(OBSERVER_OPTIONS),
-            faults=arguments(SENSOR_FAULTS),
-        ),
-        *(f"## Node `{node}`\n\n{parameters(table)}\n" for node, table in TABLES.items()),
-    ]
-    return "\n".join(parts)
+PARTS: dict[str, dict[str, Callable[[], str]]] = {
+    "house.md": {"rooms": rooms.table},
+    "commands.md": {
+        "options of observers": lambda: arguments(OBSERVER_OPTIONS),
+        "faults of a sensor": lambda: arguments(SENSOR_FAULTS),
+    },
+    "nodes.md": {
+        "parameters": parameters,
+        "live parameters": lambda: live_parameters(TABLES["observer"]),
+    },
+}
+"""What pages take from the code, by page and by the name between two comments."""
+
+
+def page(name: str) -> str:
+    """A page of docs with its parts written again."""
+    text = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    for part, made in PARTS[name].items():
+        begin, end = f"<!-- {part}, by ./dev docs -->\n", f"<!-- end of {part} -->"
+        before, _, rest = text.partition(begin)
+        text = f"{before}{begin}{made()}\n{end}{rest.partition(end)[2]}"
+    return text
 
 
 def sample(node: str) -> str:
@@ -170,12 +160,8 @@ def _topics(each: Interface) -> list[str]:
 def files() -> dict[Path, str]:
     """All that is made, by file."""
     docs, samples = ROOT / "docs", sorted((ROOT / "config" / "nodes").glob("*.yaml"))
-    house = (docs / "house.md").read_text(encoding="utf-8")
-    before, _, rest = house.partition(_BEGIN)
-    after = rest.partition(_END)[2]
     return {
-        docs / "parameters.md": page(),
-        docs / "house.md": f"{before}{_BEGIN}\n{rooms.table()}\n{_END}{after}",
+        **{docs / name: page(name) for name in PARTS},
         docs / "images" / "rooms.svg": rooms.picture(),
         ROOT / "config" / "rosbag2" / "qos_overrides.yaml": qualities(),
         **{path: sample(path.stem) for path in samples},

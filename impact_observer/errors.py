@@ -112,7 +112,7 @@ class DynamicsError(ImpactObserverError, ArithmeticError):
 
 
 class InputTimeoutError(DynamicsError):
-    """A live force or ground of which no sample comes."""
+    """A live force of which no sample comes."""
 
 
 class ImpactLawError(DynamicsError):

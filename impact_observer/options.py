@@ -2,7 +2,7 @@
 """The table of the options of an observer: name, type, default, unit, range and meaning.
 
 Command lines, node parameters, launch files, the YAML samples in ``config/nodes`` and
-``docs/parameters.md`` are made from these rows. The module imports no NumPy and no ROS.
+``docs/commands.md`` are made from these rows. The module imports no NumPy and no ROS.
 """
 
 import math

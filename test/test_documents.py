@@ -49,11 +49,11 @@ def test_every_page_is_in_the_reading_order() -> None:
     assert pages == set(re.findall(r"\]\(([\w/]+\.md)\)", index))
 
 
-def test_the_example_of_the_page_of_sweeps_runs() -> None:
+def test_the_example_of_a_sweep_in_python_runs() -> None:
     """It makes rows that have figures."""
-    code = blocks((ROOT / "docs" / "sweep.md").read_text(), "python")[1]
+    (code,) = blocks((ROOT / "docs" / "compare.md").read_text(), "python")
     space: dict[str, object] = {}
-    exec(compile(code, "sweep.md", "exec"), space)
+    exec(compile(code, "compare.md", "exec"), space)
     rows = space["rows"]
     assert isinstance(rows, list)
     assert [row["error"] for row in rows] == [""] * 8

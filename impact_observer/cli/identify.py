@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LIST",
         default="",
         help="what to identify, with commas, such as gap.stop or stiffness.ground-x1, or without"
-        " the part after the dot all of a kind; docs/identify.md has all names",
+        " the part after the dot all of a kind; docs/fitting.md has all names",
     )
     parser.add_argument(
         "--clock-error",
@@ -183,7 +183,7 @@ def run(args: argparse.Namespace) -> int:
         say(
             f"note: {args.bag} has joints on {listed(given.unused)}: if they are of an encoder,"
             " declare them by --measurements FILE, whose samples find a motion where impacts alone"
-            " do not (docs/measurements.md)",
+            " do not (docs/nodes.md)",
             file=lines,
         )
     good = not fit_report.why_useless(fit) and (checked.fits or args.accept)

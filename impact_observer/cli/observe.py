@@ -285,5 +285,5 @@ def contradiction_lines(found: "Sequence[Contradiction]", unit: str) -> "Iterato
     yield (
         f"warning: learned values contradict the declared ones: {'; '.join(texts)}: as"
         " declared the model does not explain the impacts: declare wider deviations, or"
-        " --model-error where a restitution scatters from hit to hit; see docs/misfit.md"
+        " --model-error where a restitution scatters from hit to hit; see docs/troubles.md"
     )

@@ -3,7 +3,7 @@
 
 To add a metric, add a row to ``METRICS``. The metric appears in ``--json`` and ``--csv`` under its
 key. A metric with a column also appears in the printed table of the column, and in the report.
-``docs/comparing.md`` lists all metrics with unit and meaning; a test compares the keys and
+``docs/compare.md`` lists all metrics with unit and meaning; a test compares the keys and
 headings of that page with ``METRICS``.
 """
 

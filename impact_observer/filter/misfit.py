@@ -22,24 +22,24 @@ from impact_observer.states import Vector
 
 MISFIT = (
     "the model does not explain the impacts: restitution, stiffness, damping, forces or gaps are"
-    " not the plant's, or the stamps are late or drift; see docs/misfit.md"
+    " not the plant's, or the stamps are late or drift; see docs/troubles.md"
 )
 ROBOT_MISFIT = (
     "the model does not explain the impacts: {}, or restitution or planes are not the"
-    " robot's, or the stamps are late or drift; see docs/misfit.md"
+    " robot's, or the stamps are late or drift; see docs/troubles.md"
 )
 CONTRADICTION = (
     "an impact came {:.3g} standard deviations or more from its prediction, which the declared"
     " errors of sensor and model exclude: declare larger ones, or leave clock_error, missed,"
-    " spurious, mislabelled and model_error at their defaults; see docs/misfit.md"
+    " spurious, mislabelled and model_error at their defaults; see docs/troubles.md"
 )
 SILENCE = (
     "not reported: the sensor or its line may be dead, or the"
-    " plant has stopped; see docs/misfit.md"
+    " plant has stopped; see docs/troubles.md"
 )
 STEP = (
     "the sensor's clock has stepped by {:.4g} s: stamps since then are taken for as late; see"
-    " docs/misfit.md"
+    " docs/troubles.md"
 )
 JUMPS = (
     "the velocities after hits do not follow from the impact law: the tip rubs, or covers or"

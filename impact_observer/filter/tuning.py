@@ -52,7 +52,7 @@ class Tuning:
     """Deviation of a step that is tried, over that of the event that gives it."""
     log_error_change: float = math.log(0.01)
     """Prior probability, at each event, that an error of the model begins, ends or becomes of the
-    other kind. The limit of the odds in docs/theory/misfit.md is computed with this number.
+    other kind. The limit of the odds in docs/theory/filter.md is computed with this number.
     """
     restitution_deviation: float = 0.1
     """Prior deviation of a restitution that is estimated, where none is declared."""
@@ -247,7 +247,7 @@ class Tuning:
     """Lags of the portmanteau test (Ljung and Box, 1978)."""
     largest_statistic: float = 48.0
     """Statistic of the test above which the model does not explain the impacts. An alarm began in
-    0.025 of 100 000 simulated innovations of exact models (docs/theory/misfit.md).
+    0.025 of 100 000 simulated innovations of exact models (docs/theory/filter.md).
     """
     doubted_statistic: float = 24.0
     """The same, above which parameters are estimated too. Exact models seldom get there."""
@@ -259,7 +259,7 @@ class Tuning:
     """Fewest such steps that are tested."""
     largest_repetition: float = 12.0
     """Log odds of innovations that repeat to white ones, above which the model does not explain
-    the impacts. White ones pass it with a probability of at most 6e-6 (docs/theory/misfit.md).
+    the impacts. White ones pass it with a probability of at most 6e-6 (docs/theory/filter.md).
     """
     doubted_repetition: float = 3.0
     """The same, above which nothing is synchronized: of simulated white ones 0.1 % are."""
@@ -286,7 +286,7 @@ class Tuning:
     largest_evidence: float = 12.0
     """Log odds of an error of the model to none, above which the model is refuted. By Doob's
     inequality exact models pass it in 100 000 events with a probability of at most 0.12
-    (docs/theory/misfit.md).
+    (docs/theory/filter.md).
     """
     doubted_evidence: float = 4.0
     """The same, above which parameters are estimated too."""

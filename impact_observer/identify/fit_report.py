@@ -52,7 +52,7 @@ _OF_INTERVALS = 0.02
 """Shifts over the median time between impacts above which no clock makes them."""
 _NO_OTHER = (
     " No other parameter alone makes the model fit: look at --plot, declare the clock's error as"
-    " --clock-error if it is larger, or change the model (docs/misfit.md)."
+    " --clock-error if it is larger, or change the model (docs/troubles.md)."
 )
 """What follows where no parameter is found that would make a model fit."""
 _SHOWN = 6
@@ -328,7 +328,7 @@ def _remedy(fitted: Identification, check: FitCheck) -> str:
     if replace(check, large=False).fits:
         return (
             f" If the sensor jitters so much, declare --clock-error {figure(fitted.rms)};"
-            " otherwise look at --plot, or change the model (docs/misfit.md)."
+            " otherwise look at --plot, or change the model (docs/troubles.md)."
         )
     return _NO_OTHER
 
@@ -340,7 +340,7 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "error",
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, free other"
-            f" parameters, or take a shorter --horizon (docs/misfit.md).{_about_horizon(fitted)}"
+            f" parameters, or take a shorter --horizon (docs/troubles.md).{_about_horizon(fitted)}"
             f"{_about_dead_time(fitted)}{_about_others(fitted)}{_without_a_fit(fitted)}",
         )
     elif not check.fits:

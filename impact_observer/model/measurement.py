@@ -176,7 +176,7 @@ class Measurement:
             return ""
         return (
             f"{self.name} contradicts the impacts and the model: {rejected} of {samples} samples"
-            " are rejected; see docs/measurements.md"
+            " are rejected; see docs/nodes.md"
         )
 
     def check(self, system: NamedSystem) -> None:

@@ -117,11 +117,11 @@ class Model:
             return ""
         name = f"{self.source or self.subject.name} does not fit the impacts"
         if RESIDUAL not in self.provenance:
-            return f"{name} to which it was fitted: no motion explains these; see docs/misfit.md"
+            return f"{name} to which it was fitted: no motion explains these; see docs/troubles.md"
         left = self._verdict.number(RESIDUAL, 0.0)
         return (
             f"{name} from which it was identified: shifts of {left:.2g} s rms are left, and"
-            f" deviations contain one of {self.shift.largest:.2g} s; see docs/misfit.md"
+            f" deviations contain one of {self.shift.largest:.2g} s; see docs/troubles.md"
         )
 
     @property

@@ -119,7 +119,7 @@ def _verdict(observed: Observability) -> Iterator[ReportLine]:
         yield ReportLine(
             "note", f"Determined all the same: {listed(observed.determined, _SHOWN)}."
         )
-    yield ReportLine("note", "Remedies are in docs/observability.md.")
+    yield ReportLine("note", "Remedies are in docs/fitting.md.")
 
 
 def remaining(observed: Observability, direction: Vector, left: Vector) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which run of the sender an observer follows: no single message decides (docs/events.md).
+"""Which run of the sender an observer follows: no single message decides (docs/nodes.md).
 
 A run is what a sender publishes from one reset to the next: all events of one epoch and episode.
 """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer's past: every event in its place, and the belief after each.
 
-A late event is put in its place, and the events after it are applied again (``docs/events.md``).
+A late event is put in its place, and the events after it are applied again (``docs/nodes.md``).
 """
 
 from bisect import bisect_right

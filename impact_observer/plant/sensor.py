@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulated sensor of impacts: latency, jitter, missed, spurious and mislabelled impacts.
 
-How the faults act, and in which order: ``docs/events.md``. Each draws from a random stream of its
+How the faults act, in which order: ``docs/commands.md``. Each draws from a random stream of its
 own, whether or not the number is used: one fault changes no draw of another.
 """
 

@@ -17,7 +17,7 @@ NODES = {
     "observer": "ObserverNode",
     "monitor": "MonitorNode",
 }
-"""Class of each node in the module ``NAME_node``; docs/parameters.md lists the parameters."""
+"""Class of each node in the module ``NAME_node``; docs/nodes.md lists the parameters."""
 _JOBS = {
     "plant": "Simulates a system, and publishes its impacts and true states.",
     "detector": "Finds impacts in what switches and other sensors publish.",

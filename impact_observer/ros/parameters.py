@@ -32,7 +32,7 @@ _AUTOSTART = Option(
 _INPUT_TIMEOUT = Option(
     "input_timeout",
     1.0,
-    "longest time without a sample of a live force or ground",
+    "longest time without a sample of a live force",
     "s",
     low=0.001,
     high=1e9,

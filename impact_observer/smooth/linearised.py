@@ -5,7 +5,7 @@ At each moment the chain's vector is ``z = (e, x, constants)``: the jump comes `
 an instant ``T`` of the path, and the state at ``T`` would be ``x`` without the jump; constants are
 what no flight changes. Between two instants the state moves by an affine map, whatever the path.
 At a moment the guard and the jump are functions of ``(e, x)``. They are linearised about the
-path's state at ``T`` (docs/theory/trajectory.md). A reported stamp is the instant ``T - e`` and a
+path's state at ``T`` (docs/theory/filter.md). A reported stamp is the instant ``T - e`` and a
 normal error; the instant of an inserted moment is the root of the guard.
 """
 

@@ -42,13 +42,13 @@ _ONE_START_IN = 1e-6
 """Share of true starts that are so far from the declared start that a warning is due."""
 _DOUBTED = (
     "the model may not explain the impacts; `identify BAG --check --clock-error S` tests it, see"
-    " docs/misfit.md"
+    " docs/troubles.md"
 )
 _CHANCE_IN = 1e-3
 """Share of true motions that explain the events less well: below this share shifts are excess."""
 _BY_FILTER = (
     "the smoothed motion {}: the states are the filter's, from the impacts before each instant;"
-    " see docs/smoothing.md"
+    " see docs/troubles.md"
 )
 _FAR = 5.0
 """Deviations of a stamp beyond which the motion does not explain it."""
@@ -75,7 +75,7 @@ class Doubt(NamedTuple):
         return (
             f"another account of the events before {stamp_text(self.until)} s is {self.odds:.2g}"
             f" times as likely, and begins {self.far:.2g} deviations from here; see"
-            " docs/smoothing.md"
+            " docs/troubles.md"
         )
 
 
@@ -382,7 +382,7 @@ class SmoothedMotion:
         until = self.account.moments[: size + 1][-1].change.stamp
         text = (
             f"the smoothed start is {distance:.2g} standard deviations from the declared one: the"
-            " account of the first events or the declared start is wrong; see docs/smoothing.md"
+            " account of the first events or the declared start is wrong; see docs/troubles.md"
         )
         return text, until
 
@@ -456,13 +456,13 @@ class SmoothedMotion:
             return (
                 f"{self.unexplained} of {len(self.account.moments)} impacts are more than"
                 f" {_FAR:g} deviations of their stamps from the smoothed motion: the account of"
-                " the events or the model is wrong; see docs/smoothing.md"
+                " the events or the model is wrong; see docs/troubles.md"
             )
         if self._excess:
             return (
                 f"shifts of the stamps are {self._excess:.2g} times the declared clock error, and"
                 f" deviations contain one of {self._uncertainty.shift.largest:.2g} s: the model or"
-                " --clock-error is wrong; see docs/smoothing.md"
+                " --clock-error is wrong; see docs/troubles.md"
             )
         return self._filter_misfit
 

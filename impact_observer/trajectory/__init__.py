@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One linearisation of a motion with its impacts; see docs/theory/trajectory.md."""
+"""One linearisation of a motion with its impacts; see docs/theory/filter.md."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights and jumps of a system with their derivatives by state, parameters and instants.
 
-``docs/theory/trajectory.md`` has the equations. A flight that no parameter changes is that of
+``docs/theory/filter.md`` has the equations. A flight that no parameter changes is that of
 ``MovingSystem``. Other flights and their derivatives by a parameter are blocks of an exponential
 in which harmonics and constants are states as well (Van Loan, Computing integrals involving the
 matrix exponential, 1978). Samples of a force are no states: there the derivative is a difference

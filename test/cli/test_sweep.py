@@ -55,7 +55,7 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_options_of_observers_that_have_the_name_of_a_fault_have_a_flag_of_their_own(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The flags are those of docs/sweep.md; an epoch is in seconds, also in an error."""
+    """The flags are those of docs/compare.md; an epoch is in seconds, also in an error."""
     with pytest.raises(SystemExit):
         main(["sweep", "--help"])
     said = capsys.readouterr().out

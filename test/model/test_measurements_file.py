@@ -54,7 +54,7 @@ def test_defaults_are_those_of_the_documentation() -> None:
     numbers = (found.offset, found.delay, found.blanking, found.gate, found.timeout)
     assert numbers == (0.0, 0.0, 0.0, 5.0, 1.0)
     assert found.stamp is None
-    documented = Path(__file__).parents[2].joinpath("docs", "measurements.md").read_text("utf-8")
+    documented = Path(__file__).parents[2].joinpath("docs", "nodes.md").read_text("utf-8")
     assert all(f"`{each.name}" in documented for each in fields(Measurement)[:-1])
 
 

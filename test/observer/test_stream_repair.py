@@ -108,7 +108,7 @@ def consistent(events: list[ImpactEvent]) -> list[ImpactEvent]:
 
 
 def effect_of(upto: list[ImpactEvent], switch: Switch, later: list[ImpactEvent]) -> Kind | None:
-    """The effect of a switch of the last of ``upto``, by the rules of docs/events.md."""
+    """The effect of a switch of the last of ``upto``, by the rules of docs/nodes.md."""
     closing = Switch(switch.contact, Kind.CLOSE)
     if switch.kind is Kind.IMPACT and any(
         e.stamp == upto[-1].stamp and closing in e.switches for e in later
