@@ -81,7 +81,7 @@ class ModelCheck:
         unseen: motions that move no contact.
         effective_mass: ``1 / (w^T M^-1 w)`` of each contact, shape (m,), kg.
         rest: gaps under the constant loads, shape (m,), m; NaN where nothing holds the body, or
-            where loads arrive live or sampled.
+            where loads arrive live, are sampled or square.
         swing: largest amplitudes of the gaps by the harmonics, without impacts, shape (m,), m;
             infinite at a resonance, NaN as above.
         nonexpansive: whether no impact ever raises ``V``; None where this is not decided.
@@ -224,7 +224,8 @@ class _Spectrum:
         that move are part of the forcing.
         """
         system, forcing, W = self._system, self._system.forcing, self._system.W
-        if forcing.sampled is not None or system.live is not None:
+        unknown = forcing.sampled is not None or forcing.squares is not None
+        if unknown or system.live is not None:
             return np.full(system.m, np.nan), np.full(system.m, np.nan)
         elastic = self._shapes[:, self._r :] / self.undamped[self._r :]
         rest = system.q_r + W.T @ elastic @ (elastic.T @ forcing.constant)

@@ -124,7 +124,7 @@ def _text(value: object) -> str:
 
 
 def _excitations(system: System) -> Iterator[dict[str, object]]:
-    """All excitations: constants, harmonics of forces, then harmonics of grounds."""
+    """All excitations: constants, harmonics of forces, harmonics of grounds, square waves."""
     frame, forcing = system.frame, system.own_forcing
     forces = [f"force on {name}" for name in system.coordinates]
     for name, value in zip(forces, forcing.constant.tolist(), strict=True):
@@ -139,6 +139,11 @@ def _excitations(system: System) -> Iterator[dict[str, object]]:
             of_harmonic = {"name": names[i], "amplitude": float(amplitudes[k, i])}
             omega = float(motion.frequency[k])
             yield {**of_harmonic, "frequency": omega, "hertz": omega / tau}
+    if (waves := forcing.squares) is not None:
+        for k, i in np.argwhere(waves.force).tolist():
+            square = {"name": f"square {forces[i]}", "amplitude": abs(float(waves.force[k, i]))}
+            omega = float(waves.frequency[k])
+            yield {**square, "frequency": omega, "hertz": omega / tau}
 
 
 def _findings(checked: ModelCheck) -> Iterator[ReportLine]:

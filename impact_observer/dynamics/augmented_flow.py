@@ -3,10 +3,11 @@
 
 The state and all that drives the state obey one equation, ``dz/dt = A z``, with ::
 
-    z = (p, u, y),    y = (samples, cos w_k t, sin w_k t, 1)
+    z = (p, u, y),    y = (samples, cos w_k t, sin w_k t, squares, 1)
 
 The samples are the sampled forces and those of their time derivatives that are not zero; between
-two samples the derivatives are constant. Loads of held contacts are eliminated::
+two samples the derivatives are constant. Squares are the signs of square waves, constant between
+two switches. Loads of held contacts are eliminated::
 
     dp/dt = u,    du/dt = P M^-1 (f - C u - K p),    P = I - M^-1 W (W^T M^-1 W)^-1 W^T
 
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.exponential import (
+    STEPS,
     TERMS,
     Exponential,
     polynomials,
@@ -69,7 +71,7 @@ class Drive:
     """The functions of time ``y(t)`` that drive a linear phase, and their generator.
 
     Attributes:
-        Y: ``dy/dt = Y y`` between two samples, shape (e, e), 1/s.
+        Y: ``dy/dt = Y y`` between two samples or switches, shape (e, e), 1/s.
         F: ``f = F y``, shape (n, e), N or Nm.
         fastest: the largest angular frequency, rad/s.
     """
@@ -78,6 +80,8 @@ class Drive:
         """Order the parts of ``forcing``."""
         n, h = forcing.constant.size, forcing.frequency.size
         self._samples, self._angles = forcing.sampled, Angles(forcing.frequency)
+        self._squares = forcing.squares
+        pushes = np.zeros((0, n)) if forcing.squares is None else forcing.squares.force
         self._active = np.zeros(0, dtype=np.intp)
         orders = 0
         if forcing.sampled is not None:
@@ -89,7 +93,7 @@ class Drive:
         d = self._active.size
         self._shape = (orders, d)
         first = orders * d
-        e = first + 2 * h + 1
+        e = first + 2 * h + len(pushes) + 1
         self.Y, self.F = np.zeros((e, e)), np.zeros((n, e))
         if orders:
             self.F[self._active, np.arange(d)] = 1.0
@@ -97,15 +101,16 @@ class Drive:
         rows = first + np.arange(h)
         self.Y[rows, rows + h], self.Y[rows + h, rows] = -forcing.frequency, forcing.frequency
         self.F[:, first : first + h] = forcing.cosine.T
-        self.F[:, first + h : -1] = forcing.sine.T
+        self.F[:, first + h : first + 2 * h] = forcing.sine.T
+        self.F[:, first + 2 * h : -1] = pushes.T
         self.F[:, -1] = forcing.constant
-        self.fastest = float(np.max(forcing.frequency, initial=0.0))
+        self.fastest = forcing.fastest
 
     def row(self, waves: Matrix, force: Matrix) -> Matrix:
         """Rows of functions of ``y``, shape (w, e).
 
         Args:
-            waves: factors of 1, of all cosines and of all sines, shape (w, 1 + 2h).
+            waves: factors of 1, all cosines, all sines and all squares, shape (w, 1 + 2h + s).
             force: factors of the sampled forces, shape (w, n).
         """
         rows = np.zeros((len(waves), len(self.Y)))
@@ -115,25 +120,31 @@ class Drive:
         return rows
 
     def at(self, t: Elapsed) -> Vector:
-        """``y`` at ``t``, after a sample at this instant, shape (e,).
+        """``y`` at ``t``, after a sample or switch at this instant, shape (e,).
 
         Raises:
             DynamicsError: ``t`` lies before the first sample.
         """
         angle = self._angles.at_stamps(np.array([t.ns]))[0]
         angle = angle + self._angles.frequency * t.remainder
-        waves = np.concatenate([np.cos(angle), np.sin(angle), [1.0]])
+        signs = np.zeros(0) if self._squares is None else self._squares.signs(t)
+        waves = np.concatenate([np.cos(angle), np.sin(angle), signs, [1.0]])
         if self._samples is None:
             return waves
         jets = self._samples.derivatives(np.array([float(t)]))[: self._shape[0], 0]
         return np.concatenate([jets[:, self._active].ravel(), waves])
 
     def knots(self, t: Elapsed, duration: float) -> Vector:
-        """Instants of samples within ``duration`` after ``t``, s since ``t``."""
-        if self._samples is None:
-            return np.zeros(0)
-        now = float(t)
-        return np.asarray(self._samples.knots(now, now + duration) - now)
+        """Samples and switches within ``duration`` after ``t``, s since ``t``.
+
+        Of each square wave at most as many as a window has steps.
+        """
+        knots, now = np.zeros(0), float(t)
+        if self._samples is not None:
+            knots = np.asarray(self._samples.knots(now, now + duration) - now)
+        if self._squares is None:
+            return knots
+        return np.union1d(knots, self._squares.switches(t, duration, STEPS))
 
     def final_until(self, t: Elapsed) -> float:
         """Time after ``t`` until which the samples are known for good, s; mostly infinity."""
@@ -248,11 +259,11 @@ class AugmentedFlow:
     def guards(
         self, rows: Matrix, waves: Matrix, force: Matrix, names: tuple[object, ...]
     ) -> Guards:
-        """Functions ``rows (p, u) + waves (1, cos, sin) + force f_sampled`` of the motions.
+        """Functions ``rows (p, u) + waves (1, cos, sin, squares) + force f_sampled`` of motions.
 
         Args:
             rows: shape (w, 2n).
-            waves: factors of 1 and of the harmonics of the forcing, shape (w, 1 + 2h).
+            waves: factors of 1 and of the waves of the forcing, shape (w, 1 + 2h + s).
             force: factors of the sampled forces, shape (w, n).
             names: one of each function.
         """

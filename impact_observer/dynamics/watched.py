@@ -124,7 +124,9 @@ class Watched:
     def along(self, phase: Phase) -> Watch:
         """The same functions along the motions of ``phase``."""
         forcing = phase.equations.forcing
-        waves = np.vstack([forcing.constant, forcing.cosine, forcing.sine]) @ self.force.T
+        squares = [] if forcing.squares is None else [forcing.squares.force]
+        forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine, *squares])
+        waves = forces @ self.force.T
         waves[0] += self.constant
         rows = np.hstack([self.position, self.velocity])
         return Watch(phase.flow.guards(rows, waves.T, self.force, self.ends), self.ends)

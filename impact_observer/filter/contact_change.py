@@ -117,8 +117,7 @@ class ContactChange(NamedTuple):
         if self.hit:
             return self.hit
         opened = self.opened
-        sampled = system.forcing.sampled
-        jumps = sampled is not None and sampled.jumps
+        jumps = system.forcing.jumps
         return opened if len(opened) == 1 and opened[0] in held and not jumps else ()
 
     def pressed(self, newton: ImpactLaw, gamma: Vector) -> Contacts:

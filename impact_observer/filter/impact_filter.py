@@ -32,6 +32,7 @@ from impact_observer.kernel._kernel import (
     Gaps,
 )
 from impact_observer.model import System
+from impact_observer.model.system import refuse_squares
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
@@ -90,6 +91,7 @@ class ImpactFilter:
         A robot has the white torques of its model instead.
         """
         self.system: System = system  # type: ignore[assignment]
+        refuse_squares(self.system, "minimum-variance")
         if isinstance(system, Robot):
             model_error = float(system.has_white_torques)
         unknowns = unknowns or UnknownParameters(family_of(system), np.empty((0, 0)))

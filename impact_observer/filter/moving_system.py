@@ -39,7 +39,7 @@ class MovingSystem:
     Attributes:
         system: the system; the places of its stops do not matter.
         depends_on_state: whether derivatives of a motion depend on its start: no.
-        is_plain: whether no force is sampled: then the kernel knows it.
+        is_plain: whether all forces are constants and harmonics, which the kernel knows.
     """
 
     def __init__(self, system: System, inverse: Matrix | None = None) -> None:
@@ -50,7 +50,7 @@ class MovingSystem:
         """
         self.system = system
         self.depends_on_state = False
-        self.is_plain = system.forcing.sampled is None
+        self.is_plain = system.forcing.sampled is None and system.forcing.squares is None
         self._inverse = inverse if self.is_plain and system.n <= _SMALL else None
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
@@ -82,7 +82,7 @@ class MovingSystem:
     @cached_property
     def rate(self) -> float:
         """A bound of all rates while no contact is closed, 1/s."""
-        return float(max(self._rate(()), *self.system.forcing.frequency, 0.0))
+        return float(max(self._rate(()), self.system.forcing.fastest))
 
     def _rate(self, closed: Contacts) -> float:
         """A bound of the rates of the differences of states, 1/s."""
@@ -114,7 +114,7 @@ class MovingSystem:
 
     def rate_of(self, t: float, x: Vector, closed: Contacts) -> Vector:
         """``dx/dt`` of a state at ``t``, s since the epoch, shape (2n,)."""
-        if not closed and self.system.forcing.sampled is None:
+        if not closed and self.is_plain:
             return self.free.rates(t, x)
         return self.rates_at(t, x, closed).along(x, self.forces(t))[0]
 
@@ -193,7 +193,7 @@ class MovingSystem:
         """
         del t, x
         phase = self.phase(closed)
-        if self.system.n < _MANY or self.system.forcing.sampled is not None:
+        if self.system.n < _MANY or not self.is_plain:
             return np.asarray(self._transition(closed, s).dot(columns))
         rest = phase.start(0.0, np.zeros(len(columns))).state(s)
         moved = [phase.start(0.0, x).state(s) - rest for x in columns.T]

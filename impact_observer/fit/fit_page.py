@@ -27,7 +27,7 @@ from impact_observer.io.tables import TableForm
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.model_file import ModelText, model_text
-from impact_observer.model.system import unit_of
+from impact_observer.model.system import refuse_squares, unit_of
 from impact_observer.stamps import seconds_between
 
 _STATES = f"/{interfaces.OBSERVER_STATES.name_under(interfaces.SMOOTHER)}"
@@ -92,6 +92,7 @@ def fit_recording(
     names = read.system.contact_names  # a robot has no system
     if not names:
         raise UsageError(f"{model}: no contact found; expected a stop that sensors notice")
+    refuse_squares(read.system, "fit")
     declared = read_fit_sources(sources, form or TableForm())
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
         made = Path(place) / "made"

@@ -71,6 +71,7 @@ from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, correlations_of
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.system import refuse_squares
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
@@ -293,6 +294,7 @@ def identify(
         ImpactLawError: the impact law has no solution at an event.
     """
     refused(family.system, "identify")
+    refuse_squares(family.system, "identify")
     if family.system.forcing.sampled is not None and OFFSET in family.names:
         raise UsageError(
             f"{family.system.name}: its forcing is sampled, so {OFFSET} cannot be identified;"

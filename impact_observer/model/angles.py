@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Vector
 
-_TURN = Fraction(62831853071795864769252867665590057683943, 10**40)
+TURN = Fraction(62831853071795864769252867665590057683943, 10**40)
 _UNIT = 1 << 128
 """Number of parts of one turn."""
-_PART = float(_TURN / _UNIT)
+_PART = float(TURN / _UNIT)
 """Angle of one part, rad."""
 
 
@@ -32,7 +32,7 @@ class Angles:
     def __init__(self, frequency: Vector) -> None:
         """Compute the turns in a nanosecond of harmonics of ``frequency``, shape (h,), rad/s."""
         self.frequency = frequency
-        turns = [Fraction(omega) / (_TURN * NS_PER_S) for omega in frequency.tolist()]
+        turns = [Fraction(omega) / (TURN * NS_PER_S) for omega in frequency.tolist()]
         parts = [round(each * _UNIT) % _UNIT for each in turns]
         halves = [divmod(each, 1 << 64) for each in parts]
         self.turns = np.array(halves, dtype=np.uint64).reshape(-1, 2)

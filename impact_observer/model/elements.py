@@ -21,10 +21,13 @@ from impact_observer.model.ground_keys import (
 )
 from impact_observer.model.grounds import LiveNames
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
+from impact_observer.model.square_waves import SquareWaves
 from impact_observer.model.system import Contact, System, moving_system
 from impact_observer.states import Matrix, Vector
 
 GROUND = "ground"
+SQUARE = "square"
+"""The shape of a force that is not harmonic."""
 KEYS = ("bodies", "grounds", "springs", "forces", "forcing", "stops")
 KINDS = ("mass", "stiffness", "damping")
 
@@ -190,8 +193,9 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tu
     """The sum of known forces, and names and directions of live forces."""
     constant = np.zeros(line.n)
     frequency, cosine, sine, inputs = list[float](), [], [], list[tuple[str, Vector]]()
+    squares = list[tuple[float, float, Vector]]()
     for key, value in forces:
-        kinds = ("constant", "amplitude", "frequency", "phase", "input")
+        kinds = ("constant", "amplitude", "frequency", "phase", "shape", "input")
         force = Section(key, value, ("body", *kinds))
         e = line.body(force)
         if "input" in force:
@@ -211,6 +215,11 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tu
             constant += force.number("constant") * e
             continue
         amplitude, phase = force.number("amplitude"), force.number("phase", 0.0)
+        if "shape" in force:
+            if (shape := force.text("shape")) != SQUARE:
+                raise ModelError(force.key("shape"), f"{shape!r} found; expected {SQUARE}")
+            squares.append((force.positive("frequency"), phase, amplitude * e))
+            continue
         frequency.append(force.positive("frequency"))
         cosine.append(amplitude * np.cos(phase) * e)
         sine.append(-amplitude * np.sin(phase) * e)
@@ -220,6 +229,7 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tu
         np.array(frequency),
         np.reshape(cosine, (h, line.n)),
         np.reshape(sine, (h, line.n)),
+        squares=SquareWaves.of_rows(squares) if squares else None,
     )
     return forcing, inputs
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The forcing ``f(t)`` of a system: constant, harmonics and samples, and bounds on the forcing."""
+"""The forcing ``f(t)`` of a system: constant, harmonics, squares, samples, and its bounds."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -10,14 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 from impact_observer.errors import ModelError
 from impact_observer.model.document import finite
 from impact_observer.model.force_samples import JETS, Samples
+from impact_observer.model.square_waves import SquareWaves
 from impact_observer.states import Matrix, Vector, frozen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forcing:
-    """``f(t) = constant + sum_k cosine_k cos(omega_k t) + sine_k sin(omega_k t) + sampled(t)``.
+    """``constant + sum_k cosine_k cos(omega_k t) + sine_k sin(omega_k t) + sampled + squares``.
 
-    The displacements of moving grounds are such functions, too. Their unit is m.
+    The displacements of moving grounds are such functions, too, without squares. Their unit is m.
 
     Attributes:
         constant: shape (n,), N or Nm.
@@ -25,6 +26,7 @@ class Forcing:
         cosine: shape (h, n), N or Nm.
         sine: shape (h, n), N or Nm.
         sampled: forces at instants; None without samples.
+        squares: forces of constant size that change their sign; None without any.
     """
 
     constant: Vector
@@ -32,6 +34,7 @@ class Forcing:
     cosine: Matrix
     sine: Matrix
     sampled: Samples | None = None
+    squares: SquareWaves | None = None
 
     @classmethod
     def none(cls, n: int) -> "Forcing":
@@ -45,8 +48,21 @@ class Forcing:
 
     @property
     def depends_on_time(self) -> bool:
-        """Whether ``f`` is not constant: it has samples, or a harmonic with an amplitude."""
-        return self.sampled is not None or bool(np.any(self.cosine) or np.any(self.sine))
+        """Whether ``f`` is not constant: it has samples, or a wave with an amplitude."""
+        waves = [self.cosine, self.sine] + ([] if self.squares is None else [self.squares.force])
+        return self.sampled is not None or any(bool(np.any(each)) for each in waves)
+
+    @property
+    def fastest(self) -> float:
+        """The largest angular frequency, rad/s; 0 without any."""
+        squares = np.zeros(0) if self.squares is None else self.squares.frequency
+        return float(max([0.0, *self.frequency, *squares]))
+
+    @property
+    def jumps(self) -> bool:
+        """Whether ``f`` jumps at some instant."""
+        sampled = self.sampled is not None and self.sampled.jumps
+        return sampled or (self.squares is not None and bool(np.any(self.squares.force)))
 
     @property
     def end(self) -> float:
@@ -93,6 +109,8 @@ class Forcing:
                 cosine, sine = -rate * sine, rate * cosine
         if self.sampled is not None:
             jets[:JETS] += self.sampled.derivatives(t)[: order + 1]
+        if self.squares is not None:
+            jets[0] += self.squares.values(t)
         return jets
 
     def bound(self, X: Matrix) -> Callable[[int, Vector], Vector]:
@@ -103,7 +121,9 @@ class Forcing:
             ``sqrt(f^(k)' X f^(k))`` from each ``t`` to the next knot, shape (samples,). It raises
             DynamicsError before the first sample.
         """
-        constant = _norms(self.constant, X)
+        constant = float(_norms(self.constant, X))
+        if self.squares is not None:
+            constant += float(np.sum(_norms(self.squares.force, X)))
         amplitudes = _norms(self.cosine, X) + _norms(self.sine, X)
         sampled = None if self.sampled is None else _bound_of_samples(self.sampled, X)
         rates = self.frequency
@@ -117,7 +137,10 @@ class Forcing:
 
     def knots(self, start: float, stop: float) -> Vector:
         """Instants in (``start``, ``stop``), s since the epoch, where ``f`` is not smooth."""
-        return np.zeros(0) if self.sampled is None else self.sampled.knots(start, stop)
+        knots = np.zeros(0) if self.sampled is None else self.sampled.knots(start, stop)
+        if self.squares is None:
+            return knots
+        return np.union1d(knots, start + self.squares.switches(start, stop - start))
 
     def mapped(self, T: Matrix) -> "Forcing":
         """The forcing ``T f(t)``, for ``T`` of shape (r, n); r may be 0."""
@@ -127,6 +150,7 @@ class Forcing:
             self.cosine @ T.T,
             self.sine @ T.T,
             None if self.sampled is None else self.sampled.mapped(T),
+            None if self.squares is None else self.squares.mapped(T),
         )
 
     def plus(self, constant: Vector) -> "Forcing":
@@ -138,18 +162,22 @@ class Forcing:
         sampled = self.sampled or other.sampled
         if self.sampled is not None and other.sampled is not None:
             sampled = self.sampled.plus(other.sampled)
+        squares = self.squares or other.squares
+        if self.squares is not None and other.squares is not None:
+            squares = self.squares.plus(other.squares)
         return Forcing(
             self.constant + other.constant,
             np.concatenate([self.frequency, other.frequency]),
             np.vstack([self.cosine, other.cosine]),
             np.vstack([self.sine, other.sine]),
             sampled,
+            squares,
         )
 
     def responded(self, P: Matrix, Q: Matrix, R: Matrix) -> "Forcing":
         """The forcing ``P f + Q df/dt + R d2f/dt2``, for matrices of shape (r, n).
 
-        The response has as many harmonics as ``f``.
+        The response has as many harmonics as ``f``, which has no squares.
         """
         omega, c, s, sampled = self.frequency[:, None], self.cosine, self.sine, self.sampled
         if sampled is not None:
@@ -177,6 +205,9 @@ class Forcing:
         if self.sampled is not None and self.sampled.force.shape[1] != n:
             columns = self.sampled.force.shape[1]
             raise ModelError("forcing.sampled.force", f"has {columns} columns; expected {n}")
+        if self.squares is not None and self.squares.force.shape[1] != n:
+            columns = self.squares.force.shape[1]
+            raise ModelError("forcing.squares.amplitude", f"has {columns} columns; expected {n}")
         frequency = finite("forcing.harmonics.frequency", self.frequency, (h,), "a list")
         for k in np.flatnonzero(frequency <= 0):
             raise ModelError(
@@ -189,6 +220,7 @@ class Forcing:
             _checked("cosine", self.cosine, h, n),
             _checked("sine", self.sine, h, n),
             self.sampled,
+            self.squares,
         )
 
 

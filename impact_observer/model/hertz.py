@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frequencies in Hz: ``hertz`` may stand for ``frequency``, in rad/s, in forces and harmonics."""
+"""Frequencies in Hz: ``hertz`` may stand for ``frequency``, in rad/s, in forces and waves."""
 
 import math
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ def convert(document: Value) -> None:
     """Write ``frequency`` for each ``hertz`` of a document that ruamel has read, in its place.
 
     Raises:
-        ModelError: a harmonic has both keys, or ``hertz`` is no number.
+        ModelError: a wave has both keys, or ``hertz`` is no number.
     """
     for place, each in _harmonics(document):
         if HERTZ not in each:
@@ -37,9 +37,10 @@ def _turned(key: str, value: Value) -> float:
 
 
 def _harmonics(document: Value) -> Iterator[tuple[str, Any]]:
-    """The key and the section of each force and harmonic."""
+    """The key and the section of each force and wave."""
     yield from _members("forces", document)
     yield from _members("forcing.harmonics", document)
+    yield from _members("forcing.squares", document)
     for place, ground in _members("grounds", document):
         for key, each in _members("motion.harmonics", ground):
             yield f"{place}.{key}", each

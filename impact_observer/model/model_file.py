@@ -33,6 +33,7 @@ from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.robot_description import RobotDescription, one_of_each
 from impact_observer.model.robot_deviations import read_robot_uncertainty
 from impact_observer.model.robot_file import ROBOT_KEYS, read_robot
+from impact_observer.model.square_waves import SquareWaves
 from impact_observer.model.system import (
     LARGEST_STATE,
     UNITS,
@@ -265,6 +266,12 @@ def _forcing_of(system: System) -> Value:
         "harmonics": [dict(zip(names, each, strict=True)) for each in harmonics],
         **_sampled_of(system),
     }
+    if (waves := forcing.squares) is not None:
+        parts = (waves.frequency.tolist(), waves.phase.tolist(), waves.force.tolist())
+        document["squares"] = [
+            {"frequency": frequency, "phase": phase, "amplitude": amplitude}
+            for frequency, phase, amplitude in zip(*parts, strict=True)
+        ]
     if system.frame is not None:
         grounds = system.frame.grounds
         document["grounds"] = [
@@ -556,7 +563,7 @@ def _forcing(
     n, pushed = len(coordinates), np.zeros((2, len(motions.names), len(coordinates)))
     if "forcing" not in section:
         return Forcing.none(n), (pushed[0].T, pushed[1].T), []
-    keys = ("constant", "harmonics", *sampled_files.KEYS, "grounds", "inputs")
+    keys = ("constant", "harmonics", "squares", *sampled_files.KEYS, "grounds", "inputs")
     forcing = Section("forcing", section.value("forcing"), keys)
     harmonics = [
         Section(key, value, ("frequency", "cosine", "sine", "order"))
@@ -578,10 +585,24 @@ def _forcing(
         cosine=part("cosine"),
         sine=part("sine"),
         sampled=sampled_files.read_samples(forcing, coordinates, folder),
+        squares=_squares(forcing, n),
     )
     items = [Section(*item, ("name", "direction")) for item in forcing.items("inputs")]
     inputs = [(each.text("name"), each.vector("direction", n)) for each in items]
     return own, (pushed[0].T, pushed[1].T), inputs
+
+
+def _squares(forcing: Section, n: int) -> SquareWaves | None:
+    """The square waves on ``n`` coordinates; None without any."""
+    waves = [
+        Section(key, value, ("frequency", "phase", "amplitude"))
+        for key, value in forcing.items("squares")
+    ]
+    rows = [
+        (each.positive("frequency"), each.number("phase", 0.0), each.vector("amplitude", n))
+        for each in waves
+    ]
+    return SquareWaves.of_rows(rows) if rows else None
 
 
 def _known(section: Section, key: str, motions: GroundMotions) -> int:

@@ -99,7 +99,7 @@ def _of_elements(document: Mapping[str, Any], system: System) -> Iterator[Parame
             name, constant = force["body"], force["constant"]
             path, others = ("forces", i, "constant"), constant - nominal[name]
             yield ParameterPlace(f"constant-force.{name}", path, 1.0, others)
-        if "amplitude" in force:
+        if "amplitude" in force and "shape" not in force:
             harmonics += 1
             yield from _of_harmonic(("forces", i), force, "forcing", str(harmonics))
 

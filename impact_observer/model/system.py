@@ -302,6 +302,15 @@ class System:
         return checked_parts(position, velocity, self.n)
 
 
+def refuse_squares(system: System, what: str) -> None:
+    """Raise UsageError where a ``system`` has square forces, which ``what`` cannot use."""
+    if system.forcing.squares is not None:
+        raise UsageError(
+            f"{system.name}: a force with shape: square, which {what} cannot use; expected forces"
+            " that are constant, harmonic or sampled"
+        )
+
+
 def moving_system(system: System, grounds: Grounds) -> System:
     """The ``system``, which has no grounds yet, on moving ``grounds``.
 

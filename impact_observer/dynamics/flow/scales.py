@@ -24,7 +24,7 @@ class Scales:
         shapes: shapes of the undamped modes, M-orthonormal, one a column, shape (n, n).
         modes: ``M shapes``: amplitudes of the modes are ``q @ modes``.
         spread: magnitudes of ``shapes``, one mode a row, shape (n, n).
-        fastest: the fastest mode or harmonic, rad/s; 0 without oscillation.
+        fastest: the fastest mode or wave of the forcing, rad/s; 0 without oscillation.
         timescale: the inverse of the fastest rate, at most 1 s.
     """
 
@@ -40,7 +40,7 @@ class Scales:
         """The scales of ``equations``."""
         squares, shapes = linalg.eigh(equations.K, equations.M)
         spread = np.ascontiguousarray(np.abs(shapes).T)
-        fastest = float(max(np.sqrt(max(squares[-1], 0.0)), *equations.forcing.frequency, 0.0))
+        fastest = max(float(np.sqrt(max(squares[-1], 0.0))), equations.forcing.fastest)
         timescale = 1.0 / max(fastest, 1.0)
         return cls(squares, shapes, equations.M @ shapes, spread, fastest, timescale)
 
