@@ -18,7 +18,7 @@ from hypothesis import assume, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from impact_observer.dynamics import AugmentedFlow, Phases, lyapunov
+from impact_observer.dynamics import Flow, Phases, lyapunov
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.filter.contact_change import ContactChange
@@ -148,7 +148,7 @@ LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
 """Stiffness of three bodies joined by two springs; it has a rigid mode."""
 
 
-def flow_of(model: System) -> AugmentedFlow:
+def flow_of(model: System) -> Flow:
     """The flow of ``model`` while no contact is held."""
     return Phases(model).phase().flow
 

@@ -5,7 +5,6 @@
 says what ends a phase.
 """
 
-from impact_observer.dynamics.augmented_flow import AugmentedFlow, AugmentedMotion, Motion
 from impact_observer.dynamics.contact.clutch import Clutches, Piecewise
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
 from impact_observer.dynamics.contact.persistent_contact import (
@@ -14,23 +13,24 @@ from impact_observer.dynamics.contact.persistent_contact import (
     persistent_contacts,
 )
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
-from impact_observer.dynamics.flow.phase import Phase, Phases
-from impact_observer.dynamics.flow.scales import Scales
+from impact_observer.dynamics.flow import Flow, Motion, PhaseMotion
+from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.roots import Guards, RootSearch
+from impact_observer.dynamics.scales import Scales
 from impact_observer.dynamics.watched import DEPTH, End, Watch, Watched
 
 __all__ = [
     "DEPTH",
     "KEPT",
-    "AugmentedFlow",
-    "AugmentedMotion",
     "Clutches",
     "End",
+    "Flow",
     "Grip",
     "Guards",
     "ImpactLaw",
     "Motion",
     "Phase",
+    "PhaseMotion",
     "Phases",
     "Piecewise",
     "PositionProjection",

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics.flow.phase import Phase
+from impact_observer.dynamics.phase import Phase
 from impact_observer.dynamics.roots import Guards
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.dynamics import Phase
-from impact_observer.dynamics.augmented_flow import Motion
+from impact_observer.dynamics.flow import Motion
 from impact_observer.events import Contacts, Kind
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import ImpactFilter

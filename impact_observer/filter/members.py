@@ -18,7 +18,7 @@ from impact_observer.dynamics import (
     ImpactLaw,
     PositionProjection,
 )
-from impact_observer.dynamics.flow.equations import balanced
+from impact_observer.dynamics.equations import balanced
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.moving_system import MovingSystem

@@ -14,8 +14,8 @@ from impact_observer.dynamics import (
     Phase,
     Phases,
 )
-from impact_observer.dynamics.flow.equations import state_matrix
-from impact_observer.dynamics.flow.scales import Scales
+from impact_observer.dynamics.equations import state_matrix
+from impact_observer.dynamics.scales import Scales
 from impact_observer.events import Contacts
 from impact_observer.filter.process_noise import diffusion, fastest_rate
 from impact_observer.filter.saltation import FreePhase, StateRates

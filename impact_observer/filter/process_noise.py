@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics.flow.equations import balanced
-from impact_observer.dynamics.flow.phase import Phase
+from impact_observer.dynamics.equations import balanced
+from impact_observer.dynamics.phase import Phase
 from impact_observer.filter.square_root import triangular
 from impact_observer.states import Matrix, Vector
 

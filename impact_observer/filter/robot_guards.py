@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from impact_observer.dynamics.augmented_flow import Motion
+from impact_observer.dynamics.flow import Motion
 from impact_observer.events import Contacts
 from impact_observer.filter.forecast import Flight
 from impact_observer.filter.robot_motion import RobotMotion

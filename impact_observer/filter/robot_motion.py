@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_observer.dynamics.augmented_flow import Motion
-from impact_observer.dynamics.flow.scales import Scales
+from impact_observer.dynamics.flow import Motion
+from impact_observer.dynamics.scales import Scales
 from impact_observer.events import Contacts
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.process_noise import fastest_rate

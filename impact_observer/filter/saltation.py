@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics.flow.equations import Equations
-from impact_observer.dynamics.flow.phase import Phase
+from impact_observer.dynamics.equations import Equations
+from impact_observer.dynamics.phase import Phase
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import TINY
 from impact_observer.model import System

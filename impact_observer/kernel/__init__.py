@@ -19,11 +19,8 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
     Impact,
     Sensitivity,
     Sizes,
-    difference,
-    dots,
     falls_at,
     measured,
-    product,
     sizes_by,
 )
 
@@ -33,10 +30,7 @@ __all__ = [
     "Impact",
     "Sensitivity",
     "Sizes",
-    "difference",
-    "dots",
     "falls_at",
     "measured",
-    "product",
     "sizes_by",
 ]

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// The module's part for the filter of impact times: checks arguments and calls the headers.
+// The module impact_observer.kernel._kernel, for the filter of impact times: checks arguments and
+// calls the headers.
 #include <pybind11/functional.h>
 
 #include "arrays.hpp"
@@ -402,7 +403,8 @@ Matrix diffusion(const FreeMotion& motion, double s) {
 
 }  // namespace
 
-void bind_filter(py::module_& module) {
+PYBIND11_MODULE(_kernel, module) {
+    module.attr("SOURCES") = KERNEL_CHECKSUM;  // setup.py: of the files it was compiled from
     module.attr("TINY") = TINY;
     module.attr("SETTLED") = SETTLED;
     module.attr("CLOSING") = CLOSING;

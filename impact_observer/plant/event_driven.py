@@ -7,11 +7,11 @@ import numpy as np
 
 from impact_observer.dynamics import (
     KEPT,
-    AugmentedMotion,
     End,
     Grip,
     ImpactLaw,
     Phase,
+    PhaseMotion,
     Phases,
     RootSearch,
     Watch,
@@ -50,7 +50,7 @@ class Plant:
     _crossing: tuple[float, tuple[int, ...]] | None
     _watch: Watch
     _next: Switching | None
-    _moving: AugmentedMotion | None
+    _moving: PhaseMotion | None
 
     def __init__(
         self,
@@ -176,7 +176,7 @@ class Plant:
         self._next = None
 
     @property
-    def _motion(self) -> AugmentedMotion:
+    def _motion(self) -> PhaseMotion:
         """The motion of the present phase."""
         if self._moving is None:
             self._moving = self._phase.start(self._time(self._start), self._state)

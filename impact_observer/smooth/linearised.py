@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.augmented_flow import Motion
+from impact_observer.dynamics.flow import Motion
 from impact_observer.errors import DynamicsError
 from impact_observer.events import Contacts
 from impact_observer.filter.error_accounts import ErrorAccounts

@@ -23,7 +23,7 @@ from systems import (
     vectors,
 )
 
-from impact_observer.dynamics import AugmentedMotion, Phase, Phases, RootSearch, Watched
+from impact_observer.dynamics import Phase, PhaseMotion, Phases, RootSearch, Watched
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 
@@ -55,7 +55,7 @@ class Crossing(NamedTuple):
 
 
 def first_crossing(
-    phase: Phase, watched: Watched, motion: AugmentedMotion, horizon: float, start: float = 0.0
+    phase: Phase, watched: Watched, motion: PhaseMotion, horizon: float, start: float = 0.0
 ) -> Crossing | None:
     """The first crossing of the functions along ``motion`` in [start, horizon]."""
     found = RootSearch(watched.along(phase).guards, motion, start).first(horizon)

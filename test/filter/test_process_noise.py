@@ -10,7 +10,7 @@ from scipy import integrate
 from systems import chain, examples, numbers, system, systems
 
 from impact_observer.dynamics import Phase, Phases
-from impact_observer.dynamics.flow.equations import state_matrix
+from impact_observer.dynamics.equations import state_matrix
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.process_noise import diffusion, fastest_rate
 

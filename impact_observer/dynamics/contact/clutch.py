@@ -13,14 +13,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.augmented_flow import AugmentedMotion, Motion
 from impact_observer.dynamics.contact.persistent_contact import (
     Grip,
     ended,
     persistent_contacts,
 )
 from impact_observer.dynamics.contact.projection import KEPT
-from impact_observer.dynamics.flow.phase import Phase, Phases
+from impact_observer.dynamics.flow import Motion, PhaseMotion
+from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.roots import RootSearch
 from impact_observer.dynamics.watched import End, Watch, Watched
 from impact_observer.model import System
@@ -91,7 +91,7 @@ class Part:
 
     start: float
     phase: Phase
-    motion: AugmentedMotion
+    motion: PhaseMotion
     slipping: tuple[int, ...]
     stopped: tuple[int, ...] = ()
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.dynamics.contact.complementarity import nonnegative
-from impact_observer.dynamics.flow.phase import RANK, Phase, Phases, orthonormal, without
+from impact_observer.dynamics.phase import RANK, Phase, Phases, orthonormal, without
 from impact_observer.errors import DynamicsError
 from impact_observer.states import Vector
 

@@ -13,12 +13,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from impact_observer.dynamics.augmented_flow import Motion
 from impact_observer.dynamics.contact.clutch import Clutches, Part, Piecewise
 from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.contact.unilateral_projection import UnilateralProjection
-from impact_observer.dynamics.flow.phase import Phase
+from impact_observer.dynamics.flow import Motion
+from impact_observer.dynamics.phase import Phase
 from impact_observer.states import Vector
 
 _ORDERS = 6

@@ -9,7 +9,7 @@ from scipy import linalg
 
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.dynamics.contact.projection import KEPT
-from impact_observer.dynamics.flow.phase import Phases
+from impact_observer.dynamics.phase import Phases
 from impact_observer.states import Matrix, Vector, frozen
 
 _NEGATIVE = 1e-13

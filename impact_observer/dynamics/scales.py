@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics.flow.equations import Equations
+from impact_observer.dynamics.equations import Equations
 from impact_observer.states import Matrix, Vector
 
 _PERIODS = 2.0

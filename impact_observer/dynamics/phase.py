@@ -23,11 +23,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics.augmented_flow import AugmentedFlow, AugmentedMotion, rate_of
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
-from impact_observer.dynamics.flow.equations import Equations
-from impact_observer.dynamics.flow.few import Factor, Product, product_with
-from impact_observer.dynamics.flow.scales import Scales
+from impact_observer.dynamics.equations import Equations
+from impact_observer.dynamics.few import Factor, Product, product_with
+from impact_observer.dynamics.flow import Flow, PhaseMotion, rate_of
+from impact_observer.dynamics.scales import Scales
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -96,11 +96,11 @@ class Phase:
     equations: Equations
     inverse: Matrix
     loads: Matrix
-    flow: AugmentedFlow
+    flow: Flow
     Q: Matrix
     rest: Vector
 
-    def start(self, t: float, x: Vector) -> AugmentedMotion:
+    def start(self, t: float, x: Vector) -> PhaseMotion:
         """The motion through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
         return self.flow.start(t, x)
 
@@ -269,13 +269,13 @@ class Phases:
             rest=free.rest,
         )
 
-    def _flow(self, held: tuple[int, ...], free: Unloaded, *, is_fixed: bool) -> AugmentedFlow:
+    def _flow(self, held: tuple[int, ...], free: Unloaded, *, is_fixed: bool) -> Flow:
         """The flow of the motion ``free`` on which ``held`` contacts have loads."""
         W = self.system.W[:, list(held)]
         rate = rate_of(free.scales.fastest, self._damping)
         if is_fixed:
-            return AugmentedFlow(free.equations, rate, W, free.Q, free.rest)
-        return AugmentedFlow(free.equations, rate, W)
+            return Flow(free.equations, rate, W, free.Q, free.rest)
+        return Flow(free.equations, rate, W)
 
     def _left(self, orthogonal: Matrix) -> Matrix:
         """``M^-1`` restricted to motions along ``orthogonal``."""

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.flow.few import Factor, product_with
+from impact_observer.dynamics.few import Factor, product_with
 
 Array = NDArray[np.float64]
 SIZES = pytest.mark.parametrize(

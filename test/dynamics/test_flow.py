@@ -21,7 +21,7 @@ from systems import (
     systems,
 )
 
-from impact_observer.dynamics.flow.equations import state_matrix
+from impact_observer.dynamics.equations import state_matrix
 from impact_observer.model import System
 
 Array = NDArray[np.float64]

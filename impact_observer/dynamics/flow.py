@@ -25,13 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.dynamics.equations import Equations
 from impact_observer.dynamics.exponential import (
     STEPS,
     TERMS,
     Exponential,
     polynomials,
 )
-from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.dynamics.roots import Guards, Steps
 from impact_observer.errors import DynamicsError
 from impact_observer.model import Forcing
@@ -163,7 +163,7 @@ class Drive:
         return self._samples.changed_since(changes) - float(t)
 
 
-class AugmentedFlow:
+class Flow:
     """The flow of one linear phase; what a use needs is prepared at this use."""
 
     def __init__(
@@ -248,13 +248,13 @@ class AugmentedFlow:
         powers = self.exponential.powers
         return np.ascontiguousarray(powers.reshape(-1, powers.shape[-1]))
 
-    def start(self, t: float, x: Vector) -> "AugmentedMotion":
+    def start(self, t: float, x: Vector) -> "PhaseMotion":
         """The motion through the state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch.
 
         Raises:
             DynamicsError: the forcing has no sample at ``t``.
         """
-        return AugmentedMotion(self, t, x)
+        return PhaseMotion(self, t, x)
 
     def guards(
         self, rows: Matrix, waves: Matrix, force: Matrix, names: tuple[object, ...]
@@ -312,14 +312,14 @@ class AugmentedFlow:
         return np.asarray(c.transpose(1, 2, 0))
 
 
-class AugmentedMotion(Motion):
+class PhaseMotion(Motion):
     """One motion of a linear phase, computed window after window.
 
     Attributes:
         t: start of the phase, s since the epoch.
     """
 
-    def __init__(self, flow: AugmentedFlow, t: float, x: Vector) -> None:
+    def __init__(self, flow: Flow, t: float, x: Vector) -> None:
         """Start from ``x`` = (p, u), shape (2n,), at ``t``."""
         self.t = t
         self._flow = flow
