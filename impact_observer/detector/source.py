@@ -145,6 +145,18 @@ class Source:
         except ValueError as error:
             raise self.wrong("field", str(error)) from None
 
+    def kind_on(self, type_name: str) -> str:
+        """Returns the kind that is declared, or the default; empty where the type has none.
+
+        Args:
+            type_name: of the topic's messages, such as ``std_msgs/msg/Bool``.
+        """
+        return (
+            self.kind
+            or _DEFAULT_KINDS.get(type_name)
+            or (PEAK if self.threshold is not None else "")
+        )
+
     def complete(self, type_name: str) -> "Source":
         """Returns the source with its defaults filled in.
 
@@ -154,11 +166,7 @@ class Source:
         Raises:
             UsageError: a key is missing, or does not go with the kind.
         """
-        kind = (
-            self.kind
-            or _DEFAULT_KINDS.get(type_name)
-            or (PEAK if self.threshold is not None else "")
-        )
+        kind = self.kind_on(type_name)
         if not kind:
             wanted = f"expected one of {', '.join(KINDS)}, or a threshold, which makes it a peak"
             raise self.wrong("kind", f"is missing, as {self.topic} is {type_name}; {wanted}")

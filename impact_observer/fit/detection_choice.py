@@ -88,6 +88,12 @@ def expected_impacts(system: System, seconds: float) -> ExpectedImpacts | None:
     )
 
 
+def usual_dead_time(expected: ExpectedImpacts | None) -> float:
+    """Return a dead time by the impacts of the model, s; by hits 20 ms apart if unknown."""
+    interval = _INTERVAL if expected is None else expected.interval
+    return min(_DEAD * interval, _INTERVAL)
+
+
 @dataclass(frozen=True, slots=True)
 class ChosenSource:
     """A complete declaration of a peak sensor, with what remains in doubt.
@@ -136,7 +142,7 @@ def choose_detection(
             f"no peak of {source.topic} exceeds {floor:.3g}, {_NOISE:g} times the noise",
         )
     interval = _INTERVAL if expected is None else expected.interval
-    dead = min(_DEAD * interval, _INTERVAL) if source.dead_time is None else source.dead_time
+    dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
     decay = source.decay
     if decay is None:
         decay = _decay(t, height, dead, interval, floor)

@@ -11,10 +11,15 @@ from impact_observer.detector import Source
 from impact_observer.detector.bag_detection import BagDetection, detect_bag
 from impact_observer.detector.sensors import SignalTrace
 from impact_observer.detector.signal_detection import detect_signal
-from impact_observer.detector.source import PEAK
+from impact_observer.detector.source import ARRIVAL, PEAK
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.fit.detection_choice import choose_detection, expected_impacts
+from impact_observer.fit.detection_choice import (
+    ChosenSource,
+    choose_detection,
+    expected_impacts,
+    usual_dead_time,
+)
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import SIGNAL_FILES, SOUND_FILES
 from impact_observer.io.import_table import import_table
@@ -31,6 +36,8 @@ from impact_observer.states import Stamps, Vector
 
 _EVEN = 0.05
 """Largest usual deviation of the intervals between samples of a signal, over their median."""
+_USUAL = 60.0
+"""Time for which the impacts of the model are simulated where there is no signal, s."""
 _CONVERTED = (".m4a", ".mp3", ".aac", ".mp4", ".mov", ".wma", ".opus")
 """Suffixes of sounds and films that another program makes a WAV of."""
 
@@ -154,7 +161,7 @@ def _from_signal(task: Task, signal: Signal, bag: Path) -> RecordedImpacts:
     declared = task.sources or [Source(task.contact, _only(task.path, moving))]
     arrays = dict[str, tuple[Stamps, Vector]]()
     for source in declared:
-        if (topic := topic_of(source.topic)) in columns:
+        if (topic := topic_of(source.topic)) in columns and source.kind in (None, PEAK):
             values = signal.columns[columns[topic]]
             known = np.isfinite(values)
             arrays[source.topic] = signal.stamps[known], values[known]
@@ -181,30 +188,41 @@ def _from_bag(task: Task, bag: Path) -> RecordedImpacts:
                 task.path, [line], [], bool(known), epoch=known or _before(events)
             )
         foreign = {each: each for each in reader.topics if interfaces.interface(each) is None}
-        declared = task.sources or [Source(task.contact, _only(task.path, foreign))]
+        declared = _with_kinds(
+            reader, task.sources or [Source(task.contact, _only(task.path, foreign))]
+        )
         known = known or reader.start
         choice = _chosen(task, declared, _peaks_in(reader, declared))
         found = detect_bag(reader, choice.sources, bag, model=task.model, epoch=known, traced=True)
     return _found(task, bag, found, choice, epoch=known, knows_epoch=known != reader.start)
 
 
+def _with_kinds(reader: BagReader, sources: Sequence[Source]) -> list[Source]:
+    """Return the sensors with their kinds, by the types of their topics; others are peaks."""
+    types = {topic: each.type for topic, each in reader.topics.items()}
+    topics = [interfaces.absolute(each.topic) for each in sources]
+    return [
+        replace(each, kind=each.kind_on(types[topic]) or PEAK) if topic in types else each
+        for each, topic in zip(sources, topics, strict=True)
+    ]
+
+
 def _peaks_in(reader: BagReader, sources: Sequence[Source]) -> dict[str, tuple[Stamps, Vector]]:
     """Return stamps, ns, and values of the sensors of peaks in a bag; of a vector the norm."""
     arrays = dict[str, tuple[Stamps, Vector]]()
     for source in sources:
-        if (topic := interfaces.absolute(source.topic)) not in reader.topics:
+        topic = interfaces.absolute(source.topic)
+        if topic not in reader.topics or source.kind != PEAK:
             continue
         complete = replace(source, threshold=source.threshold or 1.0)
-        complete = complete.complete(reader.topics[topic].type)
-        if complete.kind == PEAK:
-            path = complete.path()
-            rows = [
-                (header_stamp(message) or log_time, numbers_at(message, path))
-                for log_time, message in reader.messages(topic)
-            ]
-            values = np.array([row[1] for row in rows])
-            values = values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
-            arrays[source.topic] = np.array([row[0] for row in rows], np.int64), values
+        path = complete.complete(reader.topics[topic].type).path()
+        rows = [
+            (header_stamp(message) or log_time, numbers_at(message, path))
+            for log_time, message in reader.messages(topic)
+        ]
+        values = np.array([row[1] for row in rows])
+        values = values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
+        arrays[source.topic] = np.array([row[0] for row in rows], np.int64), values
     return arrays
 
 
@@ -220,18 +238,21 @@ class _Choice:
 def _chosen(
     task: Task, declared: Sequence[Source], arrays: Mapping[str, tuple[Stamps, Vector]]
 ) -> _Choice:
-    """Choose what sensors of peaks do not declare, by their signals and the model."""
+    """Choose what sensors do not declare, by their signals and the model: of arrivals a dead time.
+
+    A switch has defaults of its own.
+    """
     sources, refused, doubts = list[Source](), list[Stamps](), list[str]()
-    for source in declared:
-        if source.topic not in arrays:
-            sources.append(source)
-            refused.append(np.zeros(0, np.int64))
-            continue
-        stamps, values = arrays[source.topic]
-        seconds = seconds_between(int(stamps[0]), int(stamps[-1]))
-        chosen = choose_detection(
-            source, stamps, values, expected_impacts(task.model.system, seconds)
-        )
+    ends = [(int(stamps[0]), int(stamps[-1])) for stamps, _ in arrays.values()]
+    seconds = max((seconds_between(*each) for each in ends), default=_USUAL)
+    expected = expected_impacts(task.model.system, seconds)
+    for given in declared:
+        chosen = ChosenSource(given, np.zeros(0, np.int64), ())
+        if given.topic in arrays:
+            chosen = choose_detection(given, *arrays[given.topic], expected)
+        elif given.kind == ARRIVAL and given.dead_time is None:
+            dead = float(f"{usual_dead_time(expected):.3g}")
+            chosen = replace(chosen, source=replace(given, dead_time=dead))
         sources.append(chosen.source)
         refused.append(chosen.refused)
         doubts += chosen.doubts

@@ -12,8 +12,10 @@ import pytest
 from scipy.io import wavfile
 
 from impact_observer.cli.main import main
-from impact_observer.io import BagReader
+from impact_observer.io import BagReader, BagWriter, Quality
+from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import impact_estimates
+from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
 from impact_observer.plant import Run, simulate
 from impact_observer.stamps import grid
@@ -93,6 +95,21 @@ def bag(_run: Run, folder: Path) -> Path:
     return folder / "bag"
 
 
+def sensor_bag(run: Run, folder: Path, type_name: str) -> str:
+    """A bag of a sensor that reports each hit, and once more 2 ms later; returns its name."""
+    types, make = typestore().types, bag_messages()
+    rows = [(each.stamp + late, not late) for each in run.events for late in (0, 2_000_000)]
+    with BagWriter(folder / "bag") as writer:
+        writer.declare("/sensor", type_name=type_name, quality=Quality(reliable=False))
+        for stamp, is_closed in rows:
+            if type_name.endswith("Header"):
+                message = types[type_name](stamp=make.time(stamp), frame_id="hit")
+            else:
+                message = types[type_name](data=is_closed)
+            writer.write("/sensor", stamp, message)
+    return "bag"
+
+
 def speeds(run: Run) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """True contact speeds before the impacts, m/s: of x2, whose stop does not move."""
     fine = simulate("two_mass", np.array([EPOCH, *(each.stamp - 1 for each in run.events)]))
@@ -165,6 +182,27 @@ def test_a_known_epoch_keeps_the_phase(run: Run, rig: Path) -> None:
     recording = typed_times(run, rig).name
     assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
     assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
+
+
+@pytest.mark.parametrize(
+    ("type_name", "sources"),
+    [
+        ("std_msgs/msg/Header", ""),
+        ("std_msgs/msg/Bool", ""),
+        ("std_msgs/msg/UInt8", "sources: [{contact: stop, topic: /sensor, kind: switch}]"),
+    ],
+)
+def test_sensors_without_a_threshold_need_none(
+    type_name: str, sources: str, run: Run, rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Arrivals and switches of a microcontroller: each hit is one impact."""
+    words = ["fit", sensor_bag(run, rig, type_name), "rig.yaml", "-o", "out"]
+    if sources:
+        (rig / "sensors.yaml").write_text(sources)
+        words += ["--sources", "sensors.yaml"]
+    assert main(words) == 0
+    assert f"{len(run.events)} impacts of stop" in capsys.readouterr().out
+    assert read_model(rig / "out" / "fitted.yaml").system.eps[0] == pytest.approx(0.7, abs=0.01)
 
 
 def test_forces_of_one_frequency_keep_their_phases_to_each_other(run: Run, rig: Path) -> None:
