@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that commands and nodes read: regular ones only, and none is replaced by an output.
+"""Files that commands and nodes read: regular ones only.
 
 A device or a pipe may never end. Everything that opens a file of the user does so here, or checks
 the file here before a library opens it.
@@ -21,12 +21,10 @@ _KINDS = {
 }
 _ENDLESS = (Path("/proc"), Path("/sys"))
 """Folders of files that the kernel makes while they are read."""
-_read: set[tuple[int, int]] = set()
-"""Device and inode of each file that was read: its identity, whatever its names."""
 
 
 def check_input(path: Path) -> int:
-    """Check that ``path`` is a regular file; from now on :func:`was_read` knows the file.
+    """Check that ``path`` is a regular file.
 
     Returns:
         The size in bytes.
@@ -46,7 +44,6 @@ def check_input(path: Path) -> int:
         kind = "made by the kernel as it is read"
     if kind:
         raise UsageError(f"{path}: is {kind}; expected a regular file, whose end is known")
-    _read.add((found.st_dev, found.st_ino))
     return found.st_size
 
 
@@ -61,20 +58,6 @@ def open_input(path: Path) -> BinaryIO:
         return path.open("rb")
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-
-
-def was_read(path: Path) -> bool:
-    """Whether ``path`` is a file that was read, by this or another name."""
-    try:
-        found = path.stat()
-    except (OSError, ValueError):
-        return False
-    return (found.st_dev, found.st_ino) in _read
-
-
-def forget_inputs() -> None:
-    """Forget which files were read: another command begins."""
-    _read.clear()
 
 
 def shortened(path: Path) -> str:

@@ -1,39 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that commands write: never in place of an input, and never half.
+"""Files that commands write: never in place of another file, and never half.
 
-Every command checks its outputs first, by :func:`check_output`, and writes each beside its place,
+Every command checks its outputs first, by :func:`check_outputs`, and writes each beside its place,
 by :func:`replacing`.
 """
 
 import errno
 import os
-import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from impact_observer.errors import ImpactObserverError, OutputError, UsageError
-from impact_observer.input_files import shortened, was_read
+from impact_observer.input_files import shortened
 
 _OF_THE_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
 _NO_TEMPORARY = "No usable temporary directory"
 """How Python begins to say that no disk takes a file."""
 
 
-def check_output(
-    path: Path, suffixes: Sequence[str] = (".png", ".svg", ".pdf"), *, force: bool = True
-) -> None:
+def check_output(path: Path, suffixes: Sequence[str] = (".png", ".svg", ".pdf")) -> None:
     """Raise unless a file can be written to ``path``; by default a picture.
 
     Args:
         path: the file.
         suffixes: what its name may end with; none for any.
-        force: whether an existing file may be replaced, unless it was read.
 
     Raises:
         UsageError: ``path`` is no UTF-8 or has none of the ``suffixes``, its folder does not
-            exist, ``path`` is no regular file, was read, or exists and there is no ``force``.
+            exist, or ``path`` is no regular file.
     """
     check_name(path)
     if suffixes and path.suffix.lower() not in suffixes:
@@ -45,17 +41,12 @@ def check_output(
             )
         if path.is_dir():
             raise UsageError(f"{path}: is a folder; expected the name of a file")
-        exists, _ = os.path.lexists(path), path.resolve()
         if path.exists() and not path.is_file():
             raise UsageError(f"{path}: is a device or a pipe; expected the name of a file")
     except UsageError:
         raise
-    except (OSError, RuntimeError, ValueError) as error:  # too long, a circle, a null byte
+    except (OSError, ValueError) as error:  # too long, a null byte
         raise unwritable(path, error) from None
-    if was_read(path):
-        raise UsageError(f"{path}: is an input of this command; choose another name")
-    if exists and not force:
-        raise UsageError(f"{path}: exists already; --force replaces it, or choose another name")
 
 
 def check_name(path: Path) -> None:
@@ -87,31 +78,28 @@ def replacing(path: Path) -> Iterator[Path]:
     """A temporary file beside ``path`` that replaces ``path`` if the block raises nothing.
 
     Raises:
-        UsageError: ``path`` was read, or may not be written.
+        UsageError: ``path`` may not be written.
         OutputError: the disk is full or gone.
     """
     check_output(path, ())
-    target = path.resolve()
-    with temporary_beside(target) as beside:
-        temporary = beside.with_name(path.name)  # whose suffix is the format
+    with temporary_beside(path) as temporary:
         try:
             yield temporary
-            if target.exists():
-                shutil.copymode(target, temporary)
-            check_output(path, ())  # what the block has read, too
-            temporary.replace(target)
+            temporary.replace(path)
         except OSError as error:
             raise unwritable(path, error) from None
 
 
-def check_outputs(paths: Sequence[Path], *, force: bool) -> None:
-    """Raise unless all of the files can be written, by :func:`check_output`.
+def check_outputs(paths: Sequence[Path]) -> None:
+    """Raise unless all of the files are new and can be written, by :func:`check_output`.
 
     Raises:
-        UsageError: as there, or two of the files are one.
+        UsageError: as there, or a file exists, or two of the files are one.
     """
     for number, path in enumerate(paths):
-        check_output(path, (), force=force)
+        if os.path.lexists(path):
+            raise UsageError(f"{path}: exists already; remove it, or choose another name")
+        check_output(path, ())
         if path.resolve() in [each.resolve() for each in paths[:number]]:
             raise UsageError(f"{path}: named twice; choose another name for one of the files")
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No command replaces what it reads, nor what is there unasked; a full disk harms nothing."""
+"""No command replaces what it reads, nor what is there; a full disk harms nothing."""
 
 import errno
-import os
 import resource
 import shutil
 from collections.abc import Iterator
@@ -84,7 +83,7 @@ def output_of(command: str, arguments: list[str]) -> Path:
 def test_what_is_there_is_not_replaced(
     command: str, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 2, in one line, before anything is read; --force, where there is one, is named."""
+    """Exit code 2, in one line, before anything is read."""
     output = output_of(command, arguments)
     output.write_text(MINE, encoding="utf-8")
     assert (
@@ -93,7 +92,7 @@ def test_what_is_there_is_not_replaced(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     if output.suffix and command != "new":
-        assert f"{output}: exists already; --force replaces it" in error
+        assert f"{output}: exists already; remove it, or choose another name" in error
     assert output.read_text("utf-8") == MINE
     assert list(Path().iterdir()) == [output]
 
@@ -106,22 +105,15 @@ def test_a_full_disk_destroys_nothing_and_leaves_nothing(
     inputs: dict[str, str],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Exit code 1, in one line; the old file is whole, and no part of the new one is left."""
+    """Exit code 1, in one line, and no part of the file is left."""
     given = [each.format(**inputs) for each in arguments]
-    output = output_of(command, arguments)
-    keeps = bool(output.suffix) and command != "new"
-    if keeps:
-        output.write_text(MINE, encoding="utf-8")
-        given.append("--force")
     with full_disk():
         code = main([command, *given])
     error = capsys.readouterr().err
     assert code == 1, error
     assert "cannot be written: " in error
     assert "File too large" in error
-    left = {each.name for each in Path().iterdir()}
-    assert left == ({output.name} if keeps else set())
-    assert not keeps or output.read_text("utf-8") == MINE
+    assert not [*Path().iterdir()]
 
 
 def test_no_room_for_a_temporary_file_is_a_full_disk(tmp_path: Path) -> None:
@@ -133,38 +125,15 @@ def test_no_room_for_a_temporary_file_is_a_full_disk(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["my.svg", "./sub/../my.svg", "symbolic.svg", "hard.svg"])
-def test_an_input_is_never_replaced(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """By whatever name, and with --force."""
+def test_an_input_is_never_replaced(name: str) -> None:
+    """By whatever name."""
     Path("sub").mkdir()
     shutil.copy(shared("config/two_mass.yaml"), "my.svg")
     Path("symbolic.svg").symlink_to("my.svg")
     Path("hard.svg").hardlink_to("my.svg")
     before = Path("my.svg").read_bytes()
-    assert main([*FIGURE, "my.svg", "--plot", name, "--force"]) == 2
-    assert "is an input of this command; choose another name" in capsys.readouterr().err
+    assert main([*FIGURE, "my.svg", "--plot", name]) == 2
     assert Path("my.svg").read_bytes() == before
-
-
-def test_a_table_that_the_model_names_is_an_input() -> None:
-    """The command reads the file, though no argument names it."""
-    text = shared("config/two_mass.yaml").read_text("utf-8")
-    head, _, rest = text.partition("forcing:")
-    tail = rest[rest.index("contacts:") :]
-    Path("table.svg").write_text("time,x1,x2\n0,0,1\n1,0,4\n", encoding="utf-8")
-    Path("my.yaml").write_text(f"{head}forcing: {{sampled: table.svg}}\n{tail}", encoding="utf-8")
-    before = Path("table.svg").read_bytes()
-    assert main([*FIGURE, "my.yaml", "--plot", "table.svg", "--force"]) == 2
-    assert Path("table.svg").read_bytes() == before
-
-
-def test_force_replaces_a_file_and_keeps_its_mode() -> None:
-    """Nothing else stays in the folder; an input of a command before is none of this one."""
-    Path("out.svg").write_text(MINE, encoding="utf-8")
-    Path("out.svg").chmod(0o600)
-    assert main([*FIGURE, "two_mass", "--plot", "out.svg", "--force"]) == 0
-    assert Path("out.svg").read_text("utf-8").startswith("<?xml")
-    assert Path("out.svg").stat().st_mode & 0o777 == 0o600
-    assert list(Path().iterdir()) == [Path("out.svg")]
 
 
 def test_two_outputs_are_two_files(capsys: pytest.CaptureFixture[str]) -> None:
@@ -174,32 +143,13 @@ def test_two_outputs_are_two_files(capsys: pytest.CaptureFixture[str]) -> None:
     assert "a.png: named twice" in capsys.readouterr().err
 
 
-def test_a_link_to_a_file_of_another_kind_has_the_format_of_its_own_name() -> None:
-    """The file behind the link is replaced."""
-    Path("old.txt").write_text(MINE, encoding="utf-8")
-    Path("out.svg").symlink_to("old.txt")
-    assert main([*FIGURE, "two_mass", "--plot", "out.svg", "--force"]) == 0
+@pytest.mark.parametrize("target", ["nothing", "out.svg", "/dev/null"])
+def test_links_are_not_replaced(target: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Links to nothing, in a circle, and to a device."""
+    Path("out.svg").symlink_to(target)
+    assert main([*FIGURE, "two_mass", "--plot", "out.svg"]) == 2
+    assert capsys.readouterr().err.startswith("impact-observer: out.svg: exists already")
     assert Path("out.svg").is_symlink()
-    assert "<svg" in Path("old.txt").read_text("utf-8")
-
-
-def test_a_link_in_a_circle_is_no_output(capsys: pytest.CaptureFixture[str]) -> None:
-    """One line, and the link stays."""
-    Path("out.svg").symlink_to("out.svg")
-    for more in ([], ["--force"]):
-        assert main([*FIGURE, "two_mass", "--plot", "out.svg", *more]) == 2
-        assert capsys.readouterr().err.startswith("impact-observer: out.svg: ")
-    assert Path("out.svg").is_symlink()
-
-
-@pytest.mark.parametrize("kind", ["a device", "a pipe"])
-def test_devices_and_pipes_are_not_replaced(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """With --force neither."""
-    os.mkfifo("pipe.svg")
-    Path("null.svg").symlink_to("/dev/null")
-    name = "null.svg" if kind == "a device" else "pipe.svg"
-    assert main([*FIGURE, "two_mass", "--plot", name, "--force"]) == 2
-    assert f"{name}: is a device or a pipe" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["\udcff", "\udcff.png"])

@@ -299,17 +299,6 @@ def add_bag_output(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_force(parser: argparse.ArgumentParser, *outputs: str) -> None:
-    """Add ``--force``, without which no existing file is replaced.
-
-    Args:
-        parser: of the subcommand.
-        outputs: the arguments that name files to write, which are checked before the command runs.
-    """
-    parser.set_defaults(outputs=outputs)
-    parser.add_argument("--force", action="store_true", help="replace existing files, but no bag")
-
-
 def add_namespace(parser: argparse.ArgumentParser) -> None:
     """Add ``--namespace``, the rig in a bag of several."""
     parser.add_argument(

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
-    add_force,
     add_measurements,
     add_namespace,
     add_option,
@@ -44,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--tolerance", metavar="R", type=positive, help=zero)
     picture = "write singular values over time: PNG, SVG, PDF"
     add("--plot", metavar="FILE", type=Path, help=picture)
-    add_force(parser, "plot")
+    parser.set_defaults(outputs=("plot",))
     add("--json", action="store_true", help="print the results as JSON")
 
 

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from impact_observer.cli.arguments import (
-    add_force,
     add_model,
     add_namespace,
     add_observer_arguments,
@@ -87,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave out estimates earlier than S seconds after the epoch, such as a wrong start;"
         " observers of --laws have the impacts before, too (default: all estimates count)",
     )
-    add_force(parser, "plot", "csv")
+    parser.set_defaults(outputs=("plot", "csv"))
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_bag_output,
-    add_force,
     add_model,
     add_part,
     add_table,
@@ -80,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     picture = "a picture of the signals with threshold, impacts, dead times and what lay in them"
     add("--plot", metavar="FILE", type=Path, help=picture)
-    add_force(parser, "plot")
+    parser.set_defaults(outputs=("plot",))
     add_bag_output(parser)
     add_table(parser.add_argument_group("a signal", "how its table is to be read"))
 

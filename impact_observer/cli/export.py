@@ -13,7 +13,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_force, add_model, add_namespace, add_part, stamp
+from impact_observer.cli.arguments import add_model, add_namespace, add_part, stamp
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.usage = (
         "%(prog)s BAG -o FILE [--what {states,errors,events} | --impacts] [--topics TOPIC ...] "
-        "[--model MODEL] [--epoch S] [--start S] [--duration S] [--namespace NS] [--force]"
+        "[--model MODEL] [--epoch S] [--start S] [--duration S] [--namespace NS]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="a .csv or .parquet file",
     )
-    add_force(parser, "output")
+    parser.set_defaults(outputs=("output",))
     rows = parser.add_mutually_exclusive_group()
     rows.add_argument(
         "--what",

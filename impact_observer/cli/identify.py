@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from impact_observer.cli.arguments import (
-    add_force,
     add_measurements,
     add_model,
     add_namespace,
@@ -129,7 +128,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write the errors of the stamps: PNG, SVG, PDF"
     )
-    add_force(parser, "output", "plot")
+    parser.set_defaults(outputs=("output", "plot"))
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 

@@ -13,7 +13,6 @@ from typing import NoReturn
 
 from impact_observer import __version__
 from impact_observer.errors import NotLinearError
-from impact_observer.input_files import forget_inputs
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.plain_text import printable
 from impact_observer.process_end import run
@@ -51,6 +50,7 @@ GONE = {
 GONE_OPTIONS = {
     "--deviation": "--initial-deviation",
     "--compression": "zstd",
+    "--force": "another name; no file is replaced",
     "--flush": "nothing; a recorder writes to the disk every second",
     "--remap": "remappings of the nodes that listen",
 }
@@ -129,12 +129,11 @@ def _run(argv: Sequence[str]) -> int:
     args, unknown = parser.parse_known_args(_joined(argv))
     if unknown:
         subparsers.choices[args.command].refuse(unknown)
-    forget_inputs()
     if outputs := getattr(args, "outputs", ()):
         from impact_observer.output_files import check_outputs
 
         given = (getattr(args, name) for name in outputs)
-        check_outputs([path for path in given if path is not None], force=args.force)
+        check_outputs([path for path in given if path is not None])
     try:
         return int(_module(args.command).run(args))
     except NotLinearError as error:

@@ -8,7 +8,6 @@ import argparse
 from pathlib import Path
 
 from impact_observer.cli.arguments import (
-    add_force,
     add_namespace,
     add_observers,
     add_part,
@@ -23,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", metavar="BAG", type=Path, help="a bag with estimates or truth")
     file = "the picture: a PNG, SVG or PDF"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=file)
-    add_force(parser, "output")
+    parser.set_defaults(outputs=("output",))
     select = "coordinates that are drawn (default: those that move most, at most eight)"
     add("--select", metavar="NAME,...", type=names, help=select)
     add_part(parser)

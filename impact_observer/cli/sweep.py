@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
-    add_force,
     add_measurements,
     add_observer_arguments,
     count,
@@ -70,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scheduler = "of a Dask cluster, such as tcp://10.0.0.1:8786"
     where.add_argument("--dask", metavar="ADDRESS", help=scheduler)
     add("--plot", metavar="FILE", type=Path, help="settling times as PNG, SVG or PDF")
-    add_force(parser, "output", "plot")
+    parser.set_defaults(outputs=("output", "plot"))
     add("--json", action="store_true", help="print the metrics as JSON")
     add_measurements(parser)
     _add_swept_arguments(parser)

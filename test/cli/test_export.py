@@ -222,10 +222,8 @@ def test_only_the_topics_asked_for_are_exported(
     assert table["time_s"][0] == "0.500000000"
     assert f"1001 rows of states: 1001 of {ESTIMATE}" in capsys.readouterr().out
     joint = "/observer/joint_states"
-    assert set(exported(observed, file, "--topics", joint, TRUTH, "--force")["topic"]) == {
-        joint,
-        TRUTH,
-    }
+    file.unlink()
+    assert set(exported(observed, file, "--topics", joint, TRUTH)["topic"]) == {joint, TRUTH}
 
 
 def test_long_bags_are_written_in_row_groups(observed: Path, tmp_path: Path) -> None:
@@ -280,15 +278,13 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     code: int,
     said: str,
 ) -> None:
-    """An existing file is unchanged."""
+    """Nothing is in the folder."""
     monkeypatch.chdir(tmp_path)
-    Path("x.csv").write_text("kept")
-    assert main(["export", str(observed), *options, "--force"]) == code
+    assert main(["export", str(observed), *options]) == code
     error = capsys.readouterr().err
     assert len(error.splitlines()) == 1
     assert said in error
-    assert [each.name for each in tmp_path.iterdir()] == ["x.csv"]
-    assert Path("x.csv").read_text() == "kept"
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_bag_without_states_or_events_is_an_error_with_its_topics(

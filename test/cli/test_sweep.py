@@ -162,8 +162,10 @@ def test_the_summary_has_a_row_for_each_combination(
     assert f"picture: {plot}" in printed
     assert plot.stat().st_size > 0
     assert main(["sweep", *SMALL, *words, "--json"]) == 2
-    assert f"{path}: exists already; --force replaces it" in capsys.readouterr().err
-    assert main(["sweep", *SMALL, *words, "--json", "--force"]) == 0
+    assert f"{path}: exists already; remove it" in capsys.readouterr().err
+    path.unlink()
+    plot.unlink()
+    assert main(["sweep", *SMALL, *words, "--json"]) == 0
     groups = json.loads(capsys.readouterr().out)["groups"]
     assert [(g["law"], g["sensor_jitter"], g["off_stiffness-scale"]) for g in groups] == [
         *product(("geometric", "minimum-variance"), (0.0, 0.001), (1.0, 1.02))
@@ -185,8 +187,9 @@ def test_runs_that_never_settle_are_not_left_out(
     """Their settling time is never in the table, null in JSON and missing in the file."""
     path = tmp_path / "sweep.parquet"
     words = ["sweep", "two_mass", "--runs", "2", "--duration", "1", "--jobs", "1"]
-    words += ["-o", str(path), "--force"]
+    words += ["-o", str(path)]
     assert main(words) == 0
+    path.unlink()
     row = capsys.readouterr().out.splitlines()[2].split()
     assert row[:4] == ["geometric", "2", "never", "100%"]
     assert main([*words, "--json", "--plot", str(tmp_path / "sweep.png")]) == 0
