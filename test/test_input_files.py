@@ -80,9 +80,9 @@ def test_a_view_in_place_of_a_table_is_no_bag(capsys: pytest.CaptureFixture[str]
 def test_two_dashes_are_no_value(capsys: pytest.CaptureFixture[str]) -> None:
     """A parser of arguments takes ``--option=--`` for an empty list."""
     with pytest.raises(SystemExit) as end:
-        main(["plot", "bag", "--namespace=--"])
+        main(["plot", "bag", "--select=--"])
     assert end.value.code == 2
-    assert "--namespace=--: no value found" in capsys.readouterr().err
+    assert "--select=--: no value found" in capsys.readouterr().err
 
 
 def test_files_of_a_bag_are_regular_ones(capsys: pytest.CaptureFixture[str]) -> None:

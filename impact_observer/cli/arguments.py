@@ -299,16 +299,6 @@ def add_bag_output(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """Add ``--namespace``, the rig in a bag of several."""
-    parser.add_argument(
-        "--namespace",
-        metavar="NS",
-        default="",
-        help="namespace of the rig, in a bag of several, such as /rig_a (default: any)",
-    )
-
-
 def add_observers(parser: argparse.ArgumentParser, meaning: str) -> None:
     """Add ``--observers``, some of those in a bag or a running system."""
     parser.add_argument("--observers", metavar="NAME,...", type=names, help=meaning)

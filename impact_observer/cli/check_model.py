@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_measurements,
-    add_namespace,
     add_option,
     positive,
 )
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from impact_observer.observability.parameter_limit import ParameterLimit
     from impact_observer.observability.rank import Observability
 
-_OF_BAGS = ("namespace", "measurements", "initial_deviation", "tolerance", "plot")
+_OF_BAGS = ("measurements", "initial_deviation", "tolerance", "plot")
 """Options that need a bag."""
 
 
@@ -34,7 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
     add("bag", metavar="BAG", nargs="?", type=Path, help="a bag with impacts of this model")
-    add_namespace(parser)
     add_measurements(parser)
     for each in OBSERVER_OPTIONS:
         if each.name == "initial_deviation":
@@ -116,7 +114,7 @@ def _observability(
 
     system, declared = read.system, read_measurements(args.measurements)
     options = Options(initial_deviation=args.initial_deviation or Options.initial_deviation)
-    with BagReader(args.bag, args.namespace) as reader:
+    with BagReader(args.bag) as reader:
         events, recorded = events_in(reader), samples_in(reader, declared)
         for problem in () if args.json else recorded.problems:
             say(f"warning: {problem}")

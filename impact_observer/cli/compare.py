@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, TextIO
 
 from impact_observer.cli.arguments import (
     add_model,
-    add_namespace,
     add_observer_arguments,
     add_observers,
     add_part,
@@ -55,7 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_observer_arguments(parser)
     add_model(parser, "a model file or a sample (default: the one in each bag)")
-    add_namespace(parser)
     add_observers(
         parser,
         "compare only these, of the bag: names of observers, or topics of JointState or"
@@ -135,7 +133,7 @@ def _check_source(args: argparse.Namespace) -> None:
         if not args.bags:
             raise UsageError("no bag named; expected BAG... or --figure MODEL")
         return
-    of_bags = ("bags", "model", "namespace", "observers", "truth", "start")
+    of_bags = ("bags", "model", "observers", "truth", "start")
     if given := [name for name in of_bags if getattr(args, name)]:
         raise UsageError(f"--figure {args.figure}: simulates, and {given[0]} is of bags; omit one")
 
@@ -203,7 +201,7 @@ def _compare_one(
     from impact_observer.observer import make_observer
     from impact_observer.robots.robot import simulated
 
-    with BagReader(bag, args.namespace) as reader, Progress() as progress:
+    with BagReader(bag) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
         read = model_of(reader, args.model, comparing=True)
         truth = named_topic(reader, args.truth) if args.truth else reader.truth_topic()

@@ -13,7 +13,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_namespace, add_part, stamp
+from impact_observer.cli.arguments import add_model, add_part, stamp
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.usage = (
         "%(prog)s BAG -o FILE [--what {states,errors,events} | --impacts] [--topics TOPIC ...] "
-        "[--model MODEL] [--epoch S] [--start S] [--duration S] [--namespace NS]"
+        "[--model MODEL] [--epoch S] [--start S] [--duration S]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
@@ -50,7 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="what",
         help="speeds, impulse and energy of each impact, as observe and smooth estimate them",
     )
-    add_namespace(parser)
     parser.add_argument(
         "--topics",
         metavar="TOPIC",
@@ -86,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.topics is not None and args.what == EVENTS:
         raise UsageError(f"topics: {', '.join(args.topics)} given; {EVENTS} have their own topic")
-    with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+    with BagReader(args.bag) as reader, Progress() as progress:
         if args.what == EVENTS:
             topics = topic_of_impacts(reader)
         else:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from impact_observer.cli.arguments import (
     add_measurements,
     add_model,
-    add_namespace,
     add_part,
     number,
     positive,
@@ -43,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
-    add_namespace(parser)
     add_measurements(parser)
     add_part(parser)
     parser.add_argument(
@@ -232,7 +230,7 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
     from impact_observer.model import parse_model
     from impact_observer.model.measurements_file import read_measurements
 
-    with BagReader(args.bag, args.namespace) as reader:
+    with BagReader(args.bag) as reader:
         given = text_of_model(reader, args.model)
         model = parse_model(*given)
         declared = read_measurements(args.measurements)

@@ -51,10 +51,11 @@ GONE_OPTIONS = {
     "--deviation": "--initial-deviation",
     "--compression": "zstd",
     "--force": "another name; no file is replaced",
+    "--namespace": "a bag of the topics of one rig",
     "--flush": "nothing; a recorder writes to the disk every second",
     "--remap": "remappings of the nodes that listen",
 }
-"""What to use instead of the options that went in 0.4.0."""
+"""What to use instead of options that went in 0.4.0, of all commands or of the one named."""
 _OPTION = re.compile(r"--[a-z][a-z-]*")
 _NEGATIVE = re.compile(r"-\.?\d")
 
@@ -78,8 +79,9 @@ class _Parser(argparse.ArgumentParser):
     def refuse(self, words: Sequence[str]) -> NoReturn:
         """End with the unknown ``words``, or with what to use instead of an option that went."""
         for option in (word.partition("=")[0] for word in words):
-            if option in GONE_OPTIONS:
-                self.error(f"{option} went in 0.4.0; use {GONE_OPTIONS[option]}")
+            of_command = f"{self.prog.removeprefix(PROGRAM).strip()} {option}"
+            if remedy := GONE_OPTIONS.get(of_command) or GONE_OPTIONS.get(option):
+                self.error(f"{option} went in 0.4.0; use {remedy}")
         self.error(f"unrecognized arguments: {' '.join(words)}")
 
 

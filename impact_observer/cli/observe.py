@@ -13,7 +13,6 @@ from impact_observer.cli.arguments import (
     add_estimates,
     add_measurements,
     add_model,
-    add_namespace,
     add_observer_arguments,
     add_part,
     observer_options,
@@ -44,7 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
-    add_namespace(parser)
     add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
     add_observer_arguments(parser, convergence=True)
     add_measurements(parser)
@@ -68,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.observer import law_named, make_observer
 
     chosen = observer_options(args, args.law)
-    with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+    with BagReader(args.bag) as reader, Progress() as progress:
         read = model_of(reader, args.model)
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)

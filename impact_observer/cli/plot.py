@@ -8,7 +8,6 @@ import argparse
 from pathlib import Path
 
 from impact_observer.cli.arguments import (
-    add_namespace,
     add_observers,
     add_part,
     names,
@@ -26,7 +25,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     select = "coordinates that are drawn (default: those that move most, at most eight)"
     add("--select", metavar="NAME,...", type=names, help=select)
     add_part(parser)
-    add_namespace(parser)
     add_observers(parser, "draw only observers of these names (default: all in the bag)")
 
 
@@ -41,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.output_files import check_output
 
     check_output(args.output)
-    with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+    with BagReader(args.bag) as reader, Progress() as progress:
         read_part(reader, args.start, args.duration, drawn_topics(reader, args.observers))
         motion = read_motion(
             reader,

@@ -15,7 +15,6 @@ from impact_observer.cli.arguments import (
     add_estimates,
     add_measurements,
     add_model,
-    add_namespace,
     add_observer_arguments,
     add_part,
     observer_options,
@@ -36,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
-    add_namespace(parser)
     add_observer_arguments(parser)
     add_measurements(parser)
     add_part(parser)
@@ -57,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.smooth.bag_smoothing import smooth_bag
 
     chosen = observer_options(args, LAW)
-    with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+    with BagReader(args.bag) as reader, Progress() as progress:
         read = model_of(reader, args.model)
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)

@@ -218,12 +218,9 @@ def _by_topic(
 
 
 def topic_in(reader: BagReader, measurement: Measurement) -> str | None:
-    """The topic of a sensor in a bag, in its namespace; None if the bag has no such topic."""
-    name = measurement.topic
-    for each in (f"{reader.namespace}/{name.lstrip('/')}", f"/{name.lstrip('/')}"):
-        if each in reader.topics:
-            return each
-    return None
+    """The topic of a sensor in a bag; None if the bag has no such topic."""
+    name = f"/{measurement.topic.lstrip('/')}"
+    return name if name in reader.topics else None
 
 
 def received_topics(reader: BagReader, measurements: Sequence[Measurement]) -> list[str]:

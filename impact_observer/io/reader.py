@@ -104,7 +104,6 @@ class BagReader:
 
     Attributes:
         path: the folder or file.
-        namespace: of the plant and the observers, such as ``/rig``; empty for any.
         storage: ``mcap`` or ``sqlite3``.
         topics: by absolute name, also where the bag leaves out the first slash.
         start: log time of the first message, ns; 0 when the bag is empty.
@@ -114,19 +113,17 @@ class BagReader:
         is_whole: whether the files have an end and the folder has metadata.yaml.
     """
 
-    def __init__(self, path: Path | str, namespace: str = "") -> None:
+    def __init__(self, path: Path | str) -> None:
         """Open a bag.
 
         Args:
             path: a rosbag2 folder, or a bare ``.mcap`` or ``.db3`` file.
-            namespace: selects one of several rigs in the bag; empty for any.
 
         Raises:
-            UsageError: ``path`` does not exist, or the ``namespace`` has no topic.
+            UsageError: ``path`` does not exist.
             BagError: ``path`` is no bag, or a damaged bag.
         """
         self.path = Path(path)
-        self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
         self._open = ExitStack()
         self.is_whole = True
         try:
@@ -138,10 +135,6 @@ class BagReader:
         except BaseException:
             self.close()
             raise
-        if self.topics and not any(map(self._is_here, self.topics)):
-            in_bag = ", ".join(self.topics)
-            self.close()
-            raise UsageError(f"{self.path}: no topic in {self.namespace}; in the bag: {in_bag}")
         self._store: Typestore | None = None
         self.low = 0
         self._limits: tuple[int, int] | None = None
@@ -234,17 +227,13 @@ class BagReader:
         Raises:
             BagError: several topics fit, none of them at the top.
         """
-        candidates = wanted.candidates([*filter(self._is_here, self.topics)])
+        candidates = wanted.candidates([*self.topics])
         if len(candidates) > 1:
             raise UnfitBagError(
-                f"{self.path}: {' and '.join(candidates)} both fit {wanted.topic}; name the one"
-                " meant with --namespace"
+                f"{self.path}: {' and '.join(candidates)} both fit {wanted.topic};"
+                " expected a bag of the topics of one rig"
             )
         return candidates[0] if candidates else None
-
-    def _is_here(self, topic: str) -> bool:
-        """Whether a topic is in the selected namespace."""
-        return topic.startswith(f"{self.namespace}/")
 
     def truth_topic(self) -> str | None:
         """The topic of the plant's true states; None when the bag has none.
@@ -257,14 +246,14 @@ class BagReader:
     def observers(self) -> tuple[str, ...]:
         """Prefixes of the observers in the bag, such as ``/observer_geometric``, sorted."""
         own = (interfaces.OBSERVER_STATES, interfaces.OBSERVER_JOINT_STATES)
-        here = filter(self._is_here, self.topics)
+        here = self.topics
         fitting = (topic for topic in here if any(each.fits(topic) for each in own))
         return tuple(sorted({topic.rpartition("/")[0] for topic in fitting}))
 
     def impact_topics(self) -> tuple[str, ...]:
         """Topics of estimates of impacts, of observers and of a smoother, sorted."""
         own = (interfaces.OBSERVER_IMPACTS, interfaces.SMOOTHED_ESTIMATES)
-        here = filter(self._is_here, self.topics)
+        here = self.topics
         return tuple(sorted(topic for topic in here if any(each.fits(topic) for each in own)))
 
     def raw(

@@ -10,7 +10,7 @@ import pytest
 from systems import jammed
 
 from impact_observer import __version__
-from impact_observer.cli.main import COMMANDS, GONE, main
+from impact_observer.cli.main import COMMANDS, GONE, GONE_OPTIONS, main
 from impact_observer.io import BagReader
 from impact_observer.io.recordings import model_of
 
@@ -119,6 +119,19 @@ def test_a_command_that_went_is_named_with_its_replacement(
     assert GONE[command] in replaced
     assert "invalid choice" in error
     assert command not in COMMANDS
+
+
+@pytest.mark.parametrize("gone", GONE_OPTIONS)
+def test_an_option_that_went_is_named_with_its_replacement(
+    gone: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line, exit code 2."""
+    *given, option = gone.split()
+    with pytest.raises(SystemExit) as end:
+        main([*(given or ["check"]), "x", "x", "-o", "y", f"{option}=1"])
+    assert end.value.code == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert f"{option} went in 0.4.0; use {GONE_OPTIONS[gone]}" in error
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands on a bag with two rigs, selected by ``--namespace``."""
+"""Commands on a bag with two rigs."""
 
-import json
-import re
 from pathlib import Path
 
 import pytest
@@ -14,7 +12,6 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.writer import BagWriter
 
 pytestmark = pytest.mark.slow
-CHECK = ("--check", "--clock-error", "1e-3")
 
 
 @pytest.fixture(scope="module")
@@ -37,50 +34,16 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "rigs"
 
 
-@pytest.mark.parametrize("namespace", ["three_mass", "/three_mass", "/three_mass/"])
-def test_a_namespace_selects_a_rig(
-    rigs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], namespace: str
+@pytest.mark.parametrize("words", [["compare"], ["identify", "--free", "gap"]])
+def test_a_command_needs_a_bag_of_one_rig(
+    rigs: Path, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The figures are those of a bag of that rig alone; a new observer can be run on it."""
+    """The error names the topics of both."""
     capsys.readouterr()
-    assert main(["compare", str(rigs.parent / "three_mass"), "--json"]) == 0
-    alone = json.loads(capsys.readouterr().out)
-    assert main(["compare", str(rigs), "--namespace", namespace, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == alone
-    arguments = ["--namespace", namespace, "--ensemble", "1", "--initial-state", "random:1"]
-    assert main(["observe", str(rigs), *arguments, "-o", str(tmp_path / "new")]) == 0
-    capsys.readouterr()
-    assert main(["compare", str(tmp_path / "new"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == alone
-
-
-def test_identify_takes_model_and_impacts_of_the_selected_rig(
-    rigs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The result for so short a bag is that for the rig alone."""
-    for model, said in (("two_mass", "for 4 unknowns"), ("three_mass", "for 6 unknowns")):
-        capsys.readouterr()
-        assert main(["identify", str(rigs.parent / model), *CHECK]) == 1
-        alone = capsys.readouterr().err
-        assert said in alone
-        assert main(["identify", str(rigs), *CHECK, "--namespace", model]) == 1
-        assert capsys.readouterr().err == alone
-    assert main(["identify", str(rigs), *CHECK]) == 2
-    assert "name the one meant with --namespace" in capsys.readouterr().err
-
-
-def test_without_a_namespace_the_error_names_the_option(
-    rigs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """An unknown namespace is an error, too."""
-    for arguments, said in (
-        ([], r"both fit /plant/model; name the one meant with --namespace\n"),
-        (["--namespace", "x"], r"no topic in /x; in the bag: /three_mass/impacts, "),
-    ):
-        assert main(["compare", str(rigs), *arguments]) in {1, 2}
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1
-        assert re.search(said, error), error
+    assert main([*words, str(rigs)]) == 2
+    error = capsys.readouterr().err
+    assert "/two_mass/plant/model both fit /plant/model; expected a bag of the topics" in error
+    assert error.count("\n") == 1
 
 
 def test_check_lists_both_rigs(rigs: Path, capsys: pytest.CaptureFixture[str]) -> None:
