@@ -243,26 +243,11 @@ class Options:
         " identify --free, optionally with standard deviations, such as restitution=0.1",
         metavar="NAME[=D],...",
     )
-    parameter_drift: float = option(
-        0.0,
-        "random walk of the estimated parameters in a minute, as a share of their deviations",
-        low=0.0,
-        high=1e3,
-        metavar="R",
-    )
     ensemble: int = option(
         10,
         "number of replicas, whose distances show convergence",
         low=1,
         high=1_000_000,
-    )
-    agreed: float = option(
-        1e-4,
-        "largest distance V of synchronized replicas, as a share of the energy of the motion",
-        low=1e-30,
-        high=1.0,
-        metavar="R",
-        live=AT_ONCE,
     )
     epoch: int = option(
         0, "stamp of t = 0 of the forcing; 0: taken from events", "ns", low=0, high=_LAST_STAMP

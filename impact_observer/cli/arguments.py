@@ -14,8 +14,6 @@ from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
 if TYPE_CHECKING:
     from impact_observer.io.tables import TableForm
 
-CONVERGENCE = ("ensemble", "agreed")
-"""Options on whether an estimate has converged; only ``observe`` offers them."""
 _OF_SENSORS_TOO = {"missed", "spurious", "mislabelled", "dead_time"}
 """Options of observers that are faults of a simulated sensor by the same names."""
 _ELSEWHERE = ("law", "history")
@@ -27,7 +25,7 @@ _MOST_DIGITS, _DECIMALS = 18, 9
 
 
 def add_observer_arguments(
-    parser: "argparse._ActionsContainer", *, simulated: bool = False, convergence: bool = False
+    parser: "argparse._ActionsContainer", *, simulated: bool = False, ensemble: bool = False
 ) -> None:
     """Add the rows of ``OBSERVER_OPTIONS`` as arguments; ``observer_options`` reads them.
 
@@ -35,13 +33,13 @@ def add_observer_arguments(
         parser: of the subcommand, or a group of it.
         simulated: the command simulates: its sensor has options of the same names, its initial
             state is random, and its epoch is that of the simulation.
-        convergence: whether to add the options of ``CONVERGENCE`` too.
+        ensemble: whether to add the number of replicas, which only ``observe`` needs.
     """
     defaults = {"clock_error": "-1: learned", "epoch": "as in the bag"}
     if simulated:
         defaults |= {"initial_state": "random, of each run"}
     for each in OBSERVER_OPTIONS:
-        if each.name in _ELSEWHERE or (each.name in CONVERGENCE and not convergence):
+        if each.name in _ELSEWHERE or (each.name == "ensemble" and not ensemble):
             continue
         if simulated and each.name == "epoch":
             continue
@@ -187,15 +185,9 @@ def add_measurements(parser: "argparse._ActionsContainer") -> None:
 
 
 def add_estimates(parser: "argparse._ActionsContainer") -> None:
-    """Add the rate of estimates and their largest number."""
+    """Add the rate of estimates."""
     parser.add_argument(
         "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
-    )
-    parser.add_argument(
-        "--most-estimates",
-        metavar="N",
-        type=count,
-        help="refuse to make more (default 10000000): one wrong stamp could fill the disk",
     )
 
 

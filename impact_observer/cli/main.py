@@ -52,6 +52,9 @@ GONE_OPTIONS = {
     "--compression": "zstd",
     "--force": "another name; no file is replaced",
     "--namespace": "a bag of the topics of one rig",
+    "--most-estimates": "--rate, --start and --duration",
+    "--parameter-drift": "parts of the recording, by --start and --duration",
+    "--agreed": "convergence of the estimates, in J",
     "--flush": "nothing; a recorder writes to the disk every second",
     "--remap": "remappings of the nodes that listen",
 }

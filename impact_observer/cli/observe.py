@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
     add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
-    add_observer_arguments(parser, convergence=True)
+    add_observer_arguments(parser, ensemble=True)
     add_measurements(parser)
     add_part(parser)
     add_estimates(parser)
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.filter.misfit import MISFIT
     from impact_observer.io.bag_part import assumed_epoch, read_impacts_part
     from impact_observer.io.measured_samples import MeasuredTopics
-    from impact_observer.io.observed_bag import MOST_ESTIMATES, events_from, observe_bag
+    from impact_observer.io.observed_bag import events_from, observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.model.measurements_file import read_measurements
@@ -95,7 +95,6 @@ def run(args: argparse.Namespace) -> int:
             args.output,
             rate=args.rate,
             epoch=chosen.epoch,
-            most=args.most_estimates or MOST_ESTIMATES,
             measured=measured,
             progress=show,
             warn=lambda line: progress.line(f"warning: {line}"),

@@ -47,7 +47,6 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.observe import considered_lines, torque_lines
     from impact_observer.cli.progress import Progress
     from impact_observer.io.bag_part import read_impacts_part
-    from impact_observer.io.observed_bag import MOST_ESTIMATES
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.model.measurements_file import read_measurements
@@ -70,7 +69,6 @@ def run(args: argparse.Namespace) -> int:
             args.output,
             measurements=sensors,
             rate=args.rate,
-            most=args.most_estimates or MOST_ESTIMATES,
             progress=progress.step,
             tell=lambda line: progress.line(f"note: {line}"),
         )

@@ -16,7 +16,7 @@ from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.likelihood import Likelihood
 from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.members import Member
-from impact_observer.filter.process_noise import ProcessNoise
+from impact_observer.filter.process_noise import with_noise
 from impact_observer.filter.resting import rested
 from impact_observer.filter.robot_family import family_of
 from impact_observer.filter.robot_members import members_of
@@ -76,7 +76,7 @@ class ImpactFilter:
         system: the system with the parameters of the model.
         members: the family of systems with other parameters.
         scales: of the motions of ``system``.
-        noise: process noise; None for none.
+        noise: white noise of the accelerations, m/s^1.5; 0 for none.
         conditioning: conditions states on events that are not for the kernel.
     """
 
@@ -99,12 +99,8 @@ class ImpactFilter:
         self.members = members_of(unknowns.family, unknowns.considered)
         self.scales = self.members.given.moving.scales
         self.conditioning = Conditioning(self.members)
-        drift = unknowns.drift * np.where(unknowns.considered, 0.0, unknowns.deviations)
-        declared = ProcessNoise(model_error, drift)
-        self._declared = declared
-        self.noise = declared if model_error or np.any(declared.drift) else None
+        self.noise = model_error
         self._is_free = self.members.given.moving.is_plain and self.members.is_linear
-        self._drifts = bool(np.any(declared.drift))
 
     def begin(self, state: GaussianState) -> GaussianState:
         """``state`` with its closed contacts at rest."""
@@ -119,12 +115,9 @@ class ImpactFilter:
         """
         return LinearPrediction(t, state, self.members, self.noise_of(model_error))
 
-    def noise_of(self, model_error: float) -> ProcessNoise | None:
-        """The declared process noise, and white accelerations of ``model_error``, m/s^1.5."""
-        if not model_error:
-            return self.noise
-        declared, drift = self._declared
-        return ProcessNoise(math.hypot(declared, model_error), drift)
+    def noise_of(self, model_error: float) -> float:
+        """The declared noise of the accelerations, and that of ``model_error``, m/s^1.5."""
+        return math.hypot(self.noise, model_error)
 
     def member(self, state: GaussianState) -> Member:
         """The system with the parameters of an estimate."""
@@ -316,7 +309,7 @@ class ImpactFilter:
             prior = state.propagated(after, map_)
             if noise := self.noise_of(level):
                 over = partial(moving.diffusion, t, x, closed)
-                root = noise.added_to(prior.root, state.x.size, over, s)
+                root = with_noise(prior.root, state.x.size, noise, over, s)
                 prior = prior._replace(root=narrow(root))
             found.append(prior)
         return found
@@ -341,9 +334,9 @@ class ImpactFilter:
             return None
         longest = float(max(s, default=0.0))
         gaps = None if any(state.closed for state in states) else self.gaps((), longest)
-        if gaps is None or self._drifts or not self.members.given.moving.is_short(longest):
+        if gaps is None or not self.members.given.moving.is_short(longest):
             return None
-        made = gaps.flown(t, s, states, np.array(levels), self._declared.model_error)
+        made = gaps.flown(t, s, states, np.array(levels), self.noise)
         return [self._free_state(each) for each in made]
 
     def gaps(self, closed: Contacts, s: float) -> Gaps | None:

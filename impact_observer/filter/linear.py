@@ -8,7 +8,7 @@ import numpy as np
 from impact_observer.dynamics import Motion
 from impact_observer.filter.gaussian_state import GaussianState, propagate_errors
 from impact_observer.filter.members import Members, MotionSensitivity
-from impact_observer.filter.process_noise import ProcessNoise
+from impact_observer.filter.process_noise import with_noise
 from impact_observer.filter.square_root import narrow, triangular
 from impact_observer.kernel._kernel import leading
 from impact_observer.states import Matrix, Vector
@@ -22,16 +22,14 @@ class LinearPrediction:
         moving: the system between impacts with the estimated parameters.
     """
 
-    def __init__(
-        self, t: float, state: GaussianState, members: Members, noise: ProcessNoise | None
-    ) -> None:
+    def __init__(self, t: float, state: GaussianState, members: Members, noise: float) -> None:
         """Start at ``t``.
 
         Args:
             t: s since the epoch.
             state: then.
             members: the family of the system.
-            noise: process noise; None for none.
+            noise: white noise of the accelerations, m/s^1.5.
         """
         self._t = t
         self._start = state
@@ -101,9 +99,7 @@ class LinearPrediction:
             noise = sensitivity.noise(root[:size], self._own)
             blank = np.zeros((len(root) - size, noise.shape[1]))
             root = np.block([[moved, noise], [root[size:], blank]])
-        if self._noise is None:
-            return root
-        return self._noise.added_to(root, size, self._diffusion, s)
+        return with_noise(root, size, self._noise, self._diffusion, s)
 
     def remainder(self, s: float) -> Matrix:
         """A root of the covariance of what is not linear in the parameters, shape (2n, any)."""

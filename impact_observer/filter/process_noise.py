@@ -1,52 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Process noise: accelerations that the model does not have, and parameters that drift."""
+"""Process noise: accelerations that the model does not have."""
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 from impact_observer.dynamics.equations import balanced
 from impact_observer.dynamics.phase import Phase
 from impact_observer.filter.square_root import triangular
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Of Gauss and Legendre on [-1, 1]: over the inverse of the fastest rate exact to rounding."""
 
 
-class ProcessNoise(NamedTuple):
-    """Process noise of a flight.
+def with_noise(
+    root: Matrix, size: int, noise: float, diffusion_over: Callable[[float], Matrix], s: float
+) -> Matrix:
+    """A covariance's root with the process noise of ``s`` seconds, of any number of columns.
 
-    Attributes:
-        model_error: of the accelerations, as white noise, m/s^1.5.
-        drift: standard deviation of the random walk of the parameters in a minute, shape (p,).
+    Args:
+        root: of (q, u), or of (q, u, constants), shape (2n or more, any).
+        size: of (q, u), 2n.
+        noise: of the accelerations, as white noise, m/s^1.5.
+        diffusion_over: ``diffusion`` of the phase, by time.
+        s: seconds.
     """
-
-    model_error: float
-    drift: Vector
-
-    def added_to(
-        self, root: Matrix, size: int, diffusion_over: Callable[[float], Matrix], s: float
-    ) -> Matrix:
-        """A covariance's root with the process noise of ``s`` seconds, of any number of columns.
-
-        Args:
-            root: of (q, u), or of (q, u, constants), shape (2n or more, any).
-            size: of (q, u), 2n.
-            diffusion_over: ``diffusion`` of the phase, by time.
-            s: seconds.
-        """
-        columns = [root]
-        if self.model_error and s > 0:
-            added = np.zeros((len(root), size))
-            added[:size] = self.model_error * diffusion_over(s)
-            columns.append(added)
-        if np.any(self.drift) and s > 0 and len(root) > size:
-            added = np.diag(self.drift * math.sqrt(s / 60.0))
-            columns.append(np.pad(added, ((size, len(root) - size - len(added)), (0, 0))))
-        return np.concatenate(columns, axis=1) if len(columns) > 1 else root
+    if not noise or s <= 0:
+        return root
+    added = np.zeros((len(root), size))
+    added[:size] = noise * diffusion_over(s)
+    return np.concatenate([root, added], axis=1)
 
 
 def fastest_rate(A: Matrix) -> float:

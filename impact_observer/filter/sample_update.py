@@ -252,13 +252,12 @@ class SampleUpdate:
         if not self._is_for_kernel(reading, s):
             return None
         row, gate = self.one.row(reading, hypotheses[0].state), reading.sensor.measurement.gate
-        noise = self.bank.filter.noise
         made = self.bank.filter.members.free_gaps.followed(
             since,
             s,
             [h.state for h in hypotheses],
             np.array([h.acceleration_error for h in hypotheses]),
-            0.0 if noise is None else noise.model_error,
+            self.bank.filter.noise,
             row.h,
             row.rest,
             reading.value,

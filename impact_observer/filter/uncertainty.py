@@ -132,12 +132,9 @@ class Uncertainty:
 
     @property
     def declared_constants(self) -> tuple[Declared, ...]:
-        """What is declared of parameters and of the clock's offset.
-
-        A parameter that drifts may end anywhere, and is left out.
-        """
+        """What is declared of parameters and of the clock's offset."""
         unknowns, rows = self.unknowns, list[Declared]()
-        if unknowns is not None and not unknowns.drift:
+        if unknowns is not None:
             family = unknowns.family
             columns = (family.nominal, unknowns.deviations, *family.bounds)
             each = zip(family.names, *(column.tolist() for column in columns), strict=True)

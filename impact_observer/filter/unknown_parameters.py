@@ -13,7 +13,6 @@ from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, is_observed, parametric_family
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.options import highest
 from impact_observer.states import Matrix, Vector, frozen
 
 
@@ -25,15 +24,12 @@ class UnknownParameters:
         family: the system and these parameters; first those that change the motion between
             impacts.
         covariance: of the model's values, shape (p, p), in their units.
-        drift: of the random walk of the estimated parameters in a minute, as a share of
-            ``deviations``; 0 for constants.
         considered: which of the parameters are considered (Schmidt), not estimated; none by
             default.
     """
 
     family: ParametricFamily
     covariance: Matrix
-    drift: float = 0.0
     considered: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
@@ -45,9 +41,6 @@ class UnknownParameters:
         object.__setattr__(self, "covariance", frozen(self.covariance))
         size = self.family.size
         object.__setattr__(self, "considered", self.considered or (False,) * size)
-        most = highest("parameter_drift")
-        if not 0 <= self.drift <= most:
-            raise UsageError(f"parameter_drift: {self.drift:g} found; expected 0 to {most:g}")
         if self.covariance.shape != (size, size):
             found = self.covariance.shape
             raise UsageError(f"covariance: shape {found} found; expected {(size, size)}")
@@ -81,7 +74,6 @@ class UnknownParameters:
         system: System,
         wanted: Sequence[str],
         elements: Sequence[Element] = (),
-        drift: float = 0.0,
         uncertainty: ParameterUncertainty | None = None,
     ) -> "UnknownParameters":
         """The parameters that users name are estimated, others that are uncertain considered.
@@ -106,7 +98,7 @@ class UnknownParameters:
             if sign:
                 declared[name] = _number(text, number)
         family = parametric_family(system, names, elements, observed=True)
-        found = cls.of(family, declared, drift, uncertainty)
+        found = cls.of(family, declared, uncertainty)
         return found if uncertainty is None else found.considering(uncertainty, elements)
 
     @classmethod
@@ -114,7 +106,6 @@ class UnknownParameters:
         cls,
         family: ParametricFamily,
         declared: Mapping[str, float],
-        drift: float = 0.0,
         uncertainty: ParameterUncertainty | None = None,
     ) -> "UnknownParameters":
         """The parameters of a ``family``, all estimated.
@@ -134,7 +125,7 @@ class UnknownParameters:
             usual = TUNING.restitution_deviation if kind == "restitution" else usual
             usual = known.get(each.name) or usual
             deviations.append(declared.get(each.name, declared.get(kind, usual)))
-        return cls(family, np.diag(deviations) ** 2, drift)
+        return cls(family, np.diag(deviations) ** 2)
 
     def considering(
         self, uncertainty: ParameterUncertainty, elements: Sequence[Element] = ()
@@ -156,7 +147,7 @@ class UnknownParameters:
         scale = np.array([deviation[name] for name in whole.names])
         covariance = uncertainty.correlation(whole.names) * np.outer(scale, scale)
         considered = tuple(name in others for name in whole.names)
-        return UnknownParameters(whole, covariance, self.drift, considered)
+        return UnknownParameters(whole, covariance, considered)
 
 
 def _motion_first(family: ParametricFamily) -> ParametricFamily:

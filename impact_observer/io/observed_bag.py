@@ -38,8 +38,8 @@ from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimates, Stamps
 
-MOST_ESTIMATES = 10_000_000
-"""Most estimates of ``observe`` by default: one day at 100 Hz."""
+_MOST_ESTIMATES = 10_000_000
+"""Most estimates that are made, those of one day at 100 Hz: a wrong stamp could fill the disk."""
 _MOST_NAMES = 5
 """Contacts that an error names."""
 _MOST_FIXED = 256
@@ -53,7 +53,6 @@ def observe_bag(
     *,
     rate: float | None = None,
     epoch: int = 0,
-    most: int = MOST_ESTIMATES,
     measured: MeasuredTopics | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     warn: Callable[[str], None] = lambda _: None,
@@ -66,7 +65,6 @@ def observe_bag(
         output: the bag to make.
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
-        most: estimates that are made, at most.
         measured: the samples of sensors; None without sensors.
         progress: called with the number of estimates made, and of all estimates.
         warn: called with what was wrong with samples of live forces and grounds, and where events
@@ -88,7 +86,7 @@ def observe_bag(
         known += [each.stamp for each in measured.samples[:1]] if measured is not None else []
         stamps = stamps[stamps >= min(known)]
     has_covariance = observer.law.has_covariance
-    check_size(reader, observer.system, output, stamps, most, has_covariance=has_covariance)
+    check_size(reader, observer.system, output, stamps, has_covariance=has_covariance)
     if rate is None and (line := unseen_events(events, stamps, epoch)):
         warn(line)
     for line in give_inputs(reader, observer):
@@ -231,11 +229,10 @@ def check_size(
     system: System | RobotDescription,
     output: Path,
     stamps: Stamps,
-    most: int,
     *,
     has_covariance: bool,
 ) -> None:
-    """Refuse more estimates than asked for, or than the disk has room for.
+    """Refuse more estimates than ``_MOST_ESTIMATES``, or than the disk has room for.
 
     Raises:
         UsageError: naming the limit, and until when estimates would be made.
@@ -247,14 +244,14 @@ def check_size(
     folder = next((each for each in output.absolute().parents if each.exists()), Path.cwd())
     free = shutil.disk_usage(folder).free
     excess = ""
-    if count > most:
-        excess = f"{count} estimates; --most-estimates allows {most}"
+    if count > _MOST_ESTIMATES:
+        excess = f"{count} estimates; expected at most {_MOST_ESTIMATES}"
     elif size > free:
         excess = f"{count} estimates of {size / 1e9:.3g} GB; {folder} has {free / 1e9:.3g} GB free"
     if excess:
         raise UsageError(
             f"{reader.path}: {excess}; they would go on until {text(int(stamps[-1]))} s;"
-            " lower --rate"
+            " lower --rate, or take parts by --start and --duration"
         )
 
 

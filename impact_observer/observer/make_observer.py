@@ -72,7 +72,6 @@ def make_observer(
         epoch=options.epoch,
         history=options.history,
         ensemble=options.ensemble,
-        agreed=options.agreed,
         live=live,
         measurements=measurements,
         encoders=encoders,
@@ -142,7 +141,7 @@ def _considered_parameters(robot: Robot, model: Model) -> UnknownParameters | No
         return None
     scale = np.array([deviations[name] for name in family.names])
     covariance = known.correlation(family.names) * np.outer(scale, scale)
-    return UnknownParameters(family, covariance, 0.0, (True,) * family.size)
+    return UnknownParameters(family, covariance, (True,) * family.size)
 
 
 def declared_by(
@@ -178,13 +177,8 @@ def declared_by(
 def _unknown_parameters(
     system: System, options: Options, model: Model
 ) -> UnknownParameters | None:
-    wanted, drift = options.estimate_parameters, options.parameter_drift
-    if drift and not wanted:
-        raise UsageError(
-            f"parameter_drift: {drift:g} found, but no estimate_parameters to drift; expected"
-            " some, or no drift"
-        )
-    unknowns = UnknownParameters.named(system, wanted, model.elements, drift, model.uncertainty)
+    wanted = options.estimate_parameters
+    unknowns = UnknownParameters.named(system, wanted, model.elements, model.uncertainty)
     if law_named(options.law).learns:
         return unknowns if unknowns.family.size else None
     if wanted:
@@ -237,7 +231,7 @@ def options_of_laws(options: Options, laws: Sequence[str]) -> list[Options]:
         UsageError: a law is not installed.
     """
     learns = [law_named(law).learns for law in laws]
-    plain = replace(options, estimate_parameters=(), parameter_drift=0.0)
+    plain = replace(options, estimate_parameters=())
     return [
         replace(options if each or not any(learns) else plain, law=law)
         for law, each in zip(laws, learns, strict=True)

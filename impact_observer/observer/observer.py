@@ -112,7 +112,6 @@ class Observer:
         epoch: int = 0,
         history: float = Options.history,
         ensemble: int = Options.ensemble,
-        agreed: float = Options.agreed,
         live: LiveSignals | None = None,
         measurements: Sequence[Measurement] = (),
         encoders: EncoderStart | None = None,
@@ -127,7 +126,6 @@ class Observer:
             epoch: stamp of ``t = 0`` of the forcing, ns; 0 to take it from the events.
             history: how late an event may be and still be applied, s.
             ensemble: how many replicas are run together, at least one.
-            agreed: V distance at which they count as synchronized, relative to the energy.
             live: the signals of ``system``, where it has live ones.
             measurements: what is measured beside the impacts.
             encoders: their first samples take the place of ``position`` and ``velocity``.
@@ -140,7 +138,7 @@ class Observer:
             system = model_of(system, "Observer").system
         if not isinstance(law, Law):
             raise UsageError(f"Observer: {law!r} found; expected law_named(NAME)(system)")
-        for name, value in (("history", history), ("agreed", agreed), ("ensemble", ensemble)):
+        for name, value in (("history", history), ("ensemble", ensemble)):
             if not value > 0:
                 raise UsageError(f"{name}: {value:g} found; expected a positive number")
         q, u = system.checked_state(position, velocity)
@@ -157,7 +155,7 @@ class Observer:
         self._initial = np.concatenate([q, u])
         self._root = law.uncertainty.root(system.n)
         self.ensemble = ensemble
-        self._test = SynchronizationTest(system, agreed)
+        self._test = SynchronizationTest(system)
         self._history = from_seconds(history)
         self._scales = law.moving.scales
         self._names = system.contact_names
@@ -664,15 +662,6 @@ class Observer:
     def epoch(self) -> int:
         """Stamp of ``t = 0`` of the forcing, ns; 0 while unknown."""
         return self._run.update.epoch
-
-    @property
-    def agreed(self) -> float:
-        """V distance at which replicas count as synchronized, from the next event on."""
-        return self._test.threshold
-
-    @agreed.setter
-    def agreed(self, value: float) -> None:
-        self._test.threshold = value
 
     @property
     def timeline(self) -> Timeline | None:

@@ -25,10 +25,11 @@ from impact_observer.filter.robot_motion import scales_of
 from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
-from impact_observer.options import Options
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
+AGREED = 1e-4
+"""Largest V distance that counts as agreement, relative to the energy of the motion."""
 REQUIRED_EVENTS = 3
 """Events in a row at which replicas must agree."""
 LARGEST_INNOVATION = 6.0
@@ -98,13 +99,9 @@ def _is_rejected(change: ContactChange, posterior: Belief) -> bool:
 
 
 class SynchronizationTest:
-    """Tests whether the replicas of one system are synchronized.
+    """Tests whether the replicas of one system are synchronized."""
 
-    Attributes:
-        threshold: largest V distance that counts as agreement, relative to the motion's energy.
-    """
-
-    def __init__(self, system: System | Robot, threshold: float = Options.agreed) -> None:
+    def __init__(self, system: System | Robot) -> None:
         """Take the metric of ``V`` from ``system``; of a robot, where its coordinates are zero."""
         self._n = system.n
         self._is_robot = isinstance(system, Robot)  # its gaps are measured
@@ -116,7 +113,6 @@ class SynchronizationTest:
         self._names = system.contact_names
         self._part: list[int] = part.tolist()  # of each contact
         self._none = (0,) * len({*self._part})
-        self.threshold = threshold
 
     def initial(self, belief: Belief) -> Synchronization:
         """The result before any event."""
@@ -129,7 +125,7 @@ class SynchronizationTest:
         convergence, energy = self._distance_and_energy(posterior.ensemble)
         expected = 0.0 if posterior.root is None else self._expected(posterior.root)
         is_mixed = len(posterior.hypotheses) > 1 and not posterior.fit.is_misfit
-        if is_mixed and expected > self.threshold * energy:
+        if is_mixed and expected > AGREED * energy:
             found = mixture(agreeing(posterior.hypotheses, self._system))
             expected = self._expected(found.root[: 2 * self._n])
         largest = previous.largest
@@ -141,7 +137,7 @@ class SynchronizationTest:
         if not is_rejected:
             hits = {**hits, **dict.fromkeys(change.hit, float(change.t))}
         contradicted = _contradicted(previous.contradicted, change, posterior)
-        limit = self.threshold * energy
+        limit = AGREED * energy
         is_explained = not posterior.inconsistent and (
             not posterior.innovations or max(posterior.innovations.values()) <= LARGEST_INNOVATION
         )
@@ -199,7 +195,7 @@ class SynchronizationTest:
 
     def is_wide(self, result: Synchronization, root: Matrix) -> bool:
         """Whether a covariance ``root root^T`` is too wide for the flag."""
-        return self._expected(root) > self.threshold * result.energy
+        return self._expected(root) > AGREED * result.energy
 
     def is_synchronized(self, result: Synchronization, root: Matrix | None) -> bool:
         """Whether the replicas are synchronized, with a covariance ``root root^T`` by now."""
@@ -209,7 +205,7 @@ class SynchronizationTest:
 
     def obstacle(self, result: Synchronization, root: Matrix | None) -> str:
         """Why the replicas are not synchronized, in a few words; empty if synchronized."""
-        limit = self.threshold * result.energy
+        limit = AGREED * result.energy
         if result.convergence < 0:
             return "one replica"
         if not _MARGIN * result.convergence <= limit:

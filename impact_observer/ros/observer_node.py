@@ -262,7 +262,6 @@ class ObserverNode(ManagedNode):
         if not self.is_configured:
             return
         self._lag = from_seconds(self.values.number("lag"))
-        self.observer.agreed = self.values.number("agreed")
         if (rate := self.values.number("rate")) != self._times.rate:
             epoch = self.observer.epoch or self.observer.start or 0
             self._times.change_rate(rate, epoch, self._last_stamp)

@@ -235,7 +235,7 @@ class Arc(Linearised):
             for k, some in self._flights(*self._places(path)).items():
                 readings = [self.samples.readings[i] for i in some]
                 flights[k] = [_Group(None, readings)]
-                if self.noise_after(k) is not None:
+                if self.noise_after(k):
                     flights[k] = [
                         _Group(t, [*same]) for t, same in groupby(readings, attrgetter("t"))
                     ]

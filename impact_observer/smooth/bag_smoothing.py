@@ -18,7 +18,6 @@ from impact_observer.io.estimate_messages import messages_of
 from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.observed_bag import (
-    MOST_ESTIMATES,
     check_size,
     events_from,
     give_inputs,
@@ -74,7 +73,6 @@ def smooth_bag(
     *,
     measurements: Sequence[Measurement] = (),
     rate: float | None = None,
-    most: int = MOST_ESTIMATES,
     progress: Progress = no_progress,
     tell: Callable[[str], object] = lambda _line: None,
 ) -> BagSmoothing:
@@ -87,7 +85,6 @@ def smooth_bag(
         output: the bag to make.
         measurements: measurements of sensors beside the impacts.
         rate: of the estimates, Hz; None for the stamps of the true states.
-        most: estimates that are made, at most.
         progress: see ``Progress``.
         tell: called with a note on time zero, where no epoch is known.
 
@@ -101,7 +98,7 @@ def smooth_bag(
     if assumed.note:
         tell(assumed.note)
     stamps = sample_stamps(reader, events, rate, options.epoch)
-    check_size(reader, model.subject, output, stamps, most, has_covariance=True)
+    check_size(reader, model.subject, output, stamps, has_covariance=True)
     problems = list[str]()
 
     def give(observer: Observer) -> None:

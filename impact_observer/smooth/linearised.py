@@ -25,7 +25,7 @@ from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.joint import Joint
 from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.model_error import ErrorKind
-from impact_observer.filter.process_noise import ProcessNoise
+from impact_observer.filter.process_noise import with_noise
 from impact_observer.filter.resting import rest_measurement
 from impact_observer.filter.robot_members import RobotMembers
 from impact_observer.filter.robot_motion import RobotMotion
@@ -135,8 +135,8 @@ class Linearised:
             members.family, np.array(theta), None if theta else members.given.moving
         )
 
-    def noise_after(self, k: int) -> ProcessNoise | None:
-        """The process noise of the flight after the ``k``-th moment; None without noise."""
+    def noise_after(self, k: int) -> float:
+        """White noise of the accelerations in the flight after the ``k``-th moment, m/s^1.5."""
         is_last = k + 1 == len(self.moments)
         level = 0.0 if is_last else level_of(self.moments[k + 1], ErrorKind.ACCELERATION)
         return self.filter.noise_of(level)
@@ -192,17 +192,16 @@ class Linearised:
         t = self.instant(path, k) if since is None else since
         s = end - t
         A, b = self._affine(self.system_of(path).flow(t, x, s, closed), x, path)
-        noise = self.noise_after(k) if noisy else None
+        noise = self.noise_after(k) if noisy else 0.0
         root = np.zeros((len(A), 0))
         if self._members.moving and (about := self._spread(path, k)):
             jump = self._jump(path, k).A
             left = self.left(path, k).A @ jump if self.rests(k) else jump
             root = left @ about.root
             state = GaussianState(x, path.constants, root, about.differences[1:], closed, self._p)
-            bent = LinearPrediction(t, state, self._members, None).remainder(s)
+            bent = LinearPrediction(t, state, self._members, 0.0).remainder(s)
             root = np.pad(bent, ((0, self._count), (0, 0)))
-        if noise is not None and s > 0:
-            root = noise.added_to(root, self._size, partial(self._diffusion, t, x, closed), s)
+        root = with_noise(root, self._size, noise, partial(self._diffusion, t, x, closed), s)
         return Step.unmeasured(A, b, root)
 
     def resting(self, path: Path, k: int) -> Step:

@@ -217,13 +217,13 @@ class SmoothedMotion:
         """States in the flight after the ``k``-th moment, which has no noise."""
         t, after = self.smoothed.arc.instant(self.smoothed.path, k), self.smoothed.state_after(k)
         members = self.smoothed.arc.filter.members
-        flight = LinearPrediction(t, self._state(after, k), members, None)
+        flight = LinearPrediction(t, self._state(after, k), members, 0.0)
         for stamp in stamps.tolist():
             s = Elapsed(stamp - self._epoch) - t
             yield self._estimate(stamp, k, flight.state(s), flight.root(s))
 
     def _is_noisy(self, k: int) -> bool:
-        return self.smoothed.arc.noise_after(k) is not None
+        return self.smoothed.arc.noise_after(k) > 0
 
     def _sampled(self, stamps: Mapping[int, Stamps]) -> Iterator[Normal]:
         """States at ``stamps`` in flights with process noise, smoothed from both ends."""

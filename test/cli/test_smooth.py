@@ -106,7 +106,7 @@ def test_smoothing_again_replaces_what_was_smoothed(tmp_path: Path) -> None:
     ("arguments", "expected"),
     [
         ([], "carries no truth to sample with; give --rate"),
-        (["--rate", "1e6"], "--most-estimates allows 10000000"),
+        (["--rate", "1e6"], "expected at most 10000000"),
         (["--rate", "10", "--model", "three_mass"], "no impact was applied"),
     ],
 )

@@ -73,7 +73,6 @@ def test_options_name_what_cannot_be_used() -> None:
         ("ensemble", 1.5, "a whole number"),
         ("ensemble", True, "a whole number"),
         ("epoch", -1, "a whole number, 0 to 2147483647999999999 ns"),
-        ("agreed", 0.0, "1e-30 to 1"),
         ("clock_error", float("nan"), "-1 to 0.1 s"),
         ("clock_error", "a", "-1 to 0.1 s"),
         ("initial_deviation", 2.0, "a text"),

@@ -237,22 +237,6 @@ def test_errors_of_parameters_agree_with_their_deviations(free: str) -> None:
     assert 0.3 < np.mean(squares) < 2.0
 
 
-def test_the_deviation_of_a_drifting_parameter_grows() -> None:
-    """By its share of what was declared, as a random walk; a constant one keeps its deviation."""
-    model, s = sample("two_mass").system, 15.0
-    x = np.concatenate(sample("two_mass").initial_state())
-    for free in ("restitution", "stiffness-scale"):
-        for drift in (0.0, 0.4):
-            unknowns = UnknownParameters.named(model, [f"{free}=0.02"], drift=drift)
-            root = np.diag([1e-3] * 4 + [0.005])
-            state = GaussianState(
-                x, unknowns.family.nominal, root, np.empty((5, 0)), (), parameters=1
-            )
-            found = ImpactFilter(model, 0.0, unknowns).predict(0.0, state).prior(s)
-            wanted = np.hypot(0.005, 0.02 * drift * np.sqrt(s / 60.0))
-            assert np.linalg.norm(found.root[4]) == pytest.approx(wanted)
-
-
 def test_estimated_restitutions_stay_within_their_bounds() -> None:
     """Published restitutions are between 0 and 1, however large the errors of stamps."""
     model = system(1.0, 0.0, 4.0, contacts=[([1.0], 0.2, 0.95)])
@@ -317,13 +301,11 @@ def test_a_law_that_estimates_no_parameters_refuses_them() -> None:
         make_observer(sample("two_mass").system, options)
 
 
-def test_a_drift_without_parameters_is_refused() -> None:
-    """With several laws, those that estimate no parameters have no drift."""
-    with pytest.raises(UsageError, match="but no estimate_parameters to"):
-        make_observer(sample("two_mass").system, Options("minimum-variance", parameter_drift=0.1))
-    learning = Options(estimate_parameters=("restitution",), parameter_drift=0.1)
-    both = options_of_laws(learning, ["geometric", "minimum-variance"])
-    assert [each.parameter_drift for each in both] == [0.0, 0.1]
+def test_of_several_laws_those_that_estimate_no_parameters_have_none() -> None:
+    """Others keep them."""
+    both = options_of_laws(
+        Options(estimate_parameters=("restitution",)), ["geometric", "minimum-variance"]
+    )
     assert [each.estimate_parameters for each in both] == [(), ("restitution",)]
 
 

@@ -23,7 +23,13 @@ from impact_observer.errors import UsageError
 from impact_observer.events import Kind
 from impact_observer.model import Model, System, read_model
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer import Observer, law_named, law_names, make_observer
+from impact_observer.observer import (
+    Observer,
+    law_named,
+    law_names,
+    make_observer,
+    synchronization,
+)
 from impact_observer.observer.laws import MeasuredPosition
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
@@ -176,8 +182,9 @@ def test_turns_and_scale_of_an_encoder_count() -> None:
     np.testing.assert_allclose(observer.estimate(stamp).q, [0.31, 0.82], atol=1e-12)
 
 
-def test_replicas_agree_after_three_hits() -> None:
+def test_replicas_agree_after_three_hits(monkeypatch: pytest.MonkeyPatch) -> None:
     """The flag needs no covariance: all replicas follow the same encoders and events."""
+    monkeypatch.setattr(synchronization, "AGREED", 0.01)
     robot = Robot(pressed())
     system, q = cast(System, robot), np.array([0.8, 0.3])
     stamps = grid(EPOCH, EPOCH + from_seconds(0.51), 500.0)
@@ -188,7 +195,6 @@ def test_replicas_agree_after_three_hits() -> None:
         q,
         np.zeros(2),
         epoch=EPOCH,
-        agreed=0.01,
         measurements=encoders_of(robot),
     )
     events, obstacles = [*run.events], list[str]()

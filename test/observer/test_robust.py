@@ -35,6 +35,7 @@ from impact_observer.model import System
 from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.laws import kalman_predictions
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.observer.synchronization import AGREED
 from impact_observer.options import Options
 from impact_observer.plant import (
     Plant,
@@ -551,7 +552,7 @@ def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: 
         if now.synchronized:
             then = watcher.estimate(now.last_event)
             differences = np.concatenate([now.q, now.u]) - whole.states[k]
-            assert squared(model, differences) <= Options.agreed * squared(
+            assert squared(model, differences) <= AGREED * squared(
                 model, np.concatenate([then.q, then.u])
             )
             came += 1

@@ -149,7 +149,7 @@ def test_each_parameter_has_an_answer_of_its_own(call: Callable[..., Any]) -> No
     rate = ParameterValue(type=3, double_value=50.0)
     given = {
         "rate": rate,
-        "agreed": ParameterValue(type=3, double_value=float("nan")),
+        "lag": ParameterValue(type=3, double_value=float("nan")),
         "law": ParameterValue(type=4, string_value="kinematic"),
         "lags": rate,
     }
@@ -157,7 +157,7 @@ def test_each_parameter_has_an_answer_of_its_own(call: Callable[..., Any]) -> No
         "set_parameters", parameters=[Parameter(name=n, value=v) for n, v in given.items()]
     ).results
     assert [each.successful for each in results] == [True, False, False, False]
-    assert "agreed" in results[1].reason
+    assert "lag" in results[1].reason
     assert "read-only" in results[2].reason
     together = [Parameter(name="rate", value=ParameterValue(type=3, double_value=20.0))]
     together.append(Parameter(name="lag", value=ParameterValue(type=3, double_value=1e6)))
