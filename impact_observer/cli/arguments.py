@@ -4,6 +4,7 @@
 import argparse
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -220,34 +221,23 @@ def add_part(
     )
 
 
-def add_table(parser: "argparse._ActionsContainer") -> None:
-    """Add the form of a table of times, which ``table_form`` returns."""
-    parser.add_argument(
-        "--time-unit",
-        choices=("s", "ms", "us", "ns", "min", "h"),
-        help="of the times (default: that in the header, else s)",
-    )
+def add_time_zero(parser: "argparse._ActionsContainer") -> None:
+    """Add ``--time-zero``, the stamp of a file's time 0."""
     parser.add_argument(
         "--time-zero",
         metavar="S",
         type=_time_zero,
         help="stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
     )
+
+
+def add_table(parser: "argparse._ActionsContainer") -> None:
+    """Add what ``table_form`` returns of the form of a table."""
+    add_time_zero(parser)
     column = (
         "name of the column of time (default: time, or one such as t, Timestamp (ms), seconds)"
     )
     parser.add_argument("--time-column", metavar="NAME", help=column)
-    parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
-    parser.add_argument(
-        "--separator",
-        choices=("tab", "semicolon", "comma", "blank"),
-        help="of columns (default: the one that makes most rows alike)",
-    )
-    parser.add_argument(
-        "--decimal",
-        choices=("point", "comma"),
-        help="of numbers (default: either, but point where commas separate columns)",
-    )
     parser.add_argument(
         "--skip-rows",
         metavar="N",
@@ -264,19 +254,32 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
     )
 
 
+def add_unusual_table(parser: "argparse._ActionsContainer") -> None:
+    """Add what is rarely said of a table; files of sensors have it under ``table``."""
+    parser.add_argument(
+        "--time-unit",
+        choices=("s", "ms", "us", "ns", "min", "h"),
+        help="of the times (default: that in the header, else s)",
+    )
+    parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
+    parser.add_argument(
+        "--separator",
+        choices=("tab", "semicolon", "comma", "blank"),
+        help="of columns (default: the one that makes most rows alike)",
+    )
+    parser.add_argument(
+        "--decimal",
+        choices=("point", "comma"),
+        help="of numbers (default: either, but point where commas separate columns)",
+    )
+
+
 def table_form(args: argparse.Namespace) -> "TableForm":
-    """The form of a table."""
+    """The form of a table, as far as the command has options of it."""
     from impact_observer.io.tables import TableForm
 
-    return TableForm(
-        time_unit=args.time_unit,
-        time_column=args.time_column,
-        sort=args.sort,
-        separator=args.separator,
-        decimal=args.decimal,
-        skip_rows=args.skip_rows,
-        frame_rate=args.frame_rate,
-    )
+    given = {each.name: getattr(args, each.name, None) for each in fields(TableForm)}
+    return TableForm(**{name: value for name, value in given.items() if value is not None})
 
 
 def _time_zero(text: str) -> int:

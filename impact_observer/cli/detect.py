@@ -39,11 +39,9 @@ _TEXTS = {
     "field": "path in the message, such as wrench.force.z or data[3]",
     "direction": "of peaks: both (default), up or down",
     "instant": "of peaks, what the stamp is of: top (default), or onset, the first top",
-    "stamp": "header or receive (default: the header's where there is one)",
 }
 _NUMBERS = {
     "threshold": "where a switch closes, or a peak begins; in the field's own unit",
-    "hysteresis": "how far below that a switch opens, or a peak ends",
     "baseline": "time constant of the mean that is subtracted, s",
     "dead_time": "time after an event in which there is no other, s (default: of a peak 0.02, of a"
     " switch 0.005, of an arrival 0)",
@@ -59,12 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     signal = "or a signal: .csv, .txt, .tsv, .dat, .wav, .flac, .ogg"
     add("bag", metavar="BAG", type=Path, help=f"a bag of sensors, {signal}")
-    add("--sources", metavar="FILE", type=Path, help="the sensors, docs/detector.md")
+    sources = "the sensors, docs/detector.md, and under `table` how a signal's table is to be read"
+    add("--sources", metavar="FILE", type=Path, help=sources)
     for name, meaning in _TEXTS.items():
         add(_option(name), metavar=name.upper(), help=meaning)
     for name, meaning in _NUMBERS.items():
         add(_option(name), metavar="X", type=float, help=meaning)
-    add("--inverted", action="store_true", default=None, help="the switch is closed when low")
     add_model(parser, "a model file or a sample, to be put into the bag")
     epoch = "stamp of t = 0 (default: unknown; of a signal, that of the file's time 0)"
     add("--epoch", metavar="S", type=stamp, help=epoch)
@@ -141,12 +139,14 @@ def _in_bag(
     """Detect in a bag."""
     from impact_observer.detector.bag_detection import detect_bag
     from impact_observer.errors import UsageError
+    from impact_observer.fit.sources_file import read_fit_sources
     from impact_observer.io.reader import BagReader
     from impact_observer.io.tables import TableForm
 
-    if table_form(args) != TableForm() or args.time_zero is not None:
+    declared = read_fit_sources(args.sources, table_form(args))
+    if declared.form != TableForm() or args.time_zero is not None:
         raise UsageError(f"{args.bag}: options of a table go with a signal, not with a bag")
-    sources = _sources(args, model)
+    sources = _sources(args, declared.sources, model)
     with BagReader(args.bag) as reader:
         return detect_bag(
             reader,
@@ -168,12 +168,14 @@ def _in_signal(
     """Detect in a signal; print which stamps were given to it."""
     from impact_observer.detector.signal_detection import detect_signal, pulses_in
     from impact_observer.errors import UsageError
+    from impact_observer.fit.sources_file import read_fit_sources
     from impact_observer.io.bag_part import BagPart
     from impact_observer.io.signals import read_signal
     from impact_observer.stamps import text
 
     progress.show(f"reading {args.bag}")
-    signal, pulses, part = read_signal(args.bag, table_form(args), args.time_zero), [], None
+    declared = read_fit_sources(args.sources, table_form(args))
+    signal, pulses, part = read_signal(args.bag, declared.form, args.time_zero), [], None
     if args.frame_rate and not signal.is_counted:
         raise UsageError(
             f"{args.bag}: has a column of time; leave out --frame-rate, or the column"
@@ -192,7 +194,7 @@ def _in_signal(
 
     result = detect_signal(
         signal,
-        _sources(args, model, signal.topics),
+        _sources(args, declared.sources, model, signal.topics),
         args.output,
         model=model,
         epoch=epoch,
@@ -212,23 +214,24 @@ def _in_signal(
 
 def _sources(
     args: argparse.Namespace,
+    declared: "tuple[Source, ...]",
     model: "Model | None",
     columns: "Mapping[str, str] | None" = None,
 ) -> "tuple[Source, ...]":
-    """The sensors of a file, or the one that the options declare.
+    """The ``declared`` sensors of a file, or the one that the options declare.
 
     ``columns`` are those of a signal with their topics; None for a bag.
     """
-    from impact_observer.detector import Source, read_sources
+    from impact_observer.detector import Source
     from impact_observer.errors import UsageError
 
-    names = (*_TEXTS, *_NUMBERS, "inverted")
+    names = (*_TEXTS, *_NUMBERS)
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    if args.sources is not None:
+    if declared:
         if given:
             option = _option(next(iter(given)))
             raise UsageError(f"{option}: given beside --sources; write it into {args.sources}")
-        return read_sources(args.sources)
+        return declared
     contacts = () if model is None else model.subject.contact_names
     if len(contacts) == 1:
         given.setdefault("contact", contacts[0])

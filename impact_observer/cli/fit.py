@@ -11,7 +11,7 @@ of the drive is free. The folder has fitted.yaml, impacts.csv, motion.png and th
 import argparse
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_table, number, stamp, table_form
+from impact_observer.cli.arguments import add_time_zero, number, stamp
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=-1.0,
         help="standard deviation of the stamps, s; negative: estimated from them (default -1)",
     )
-    add_table(parser.add_argument_group("a table", "how it is to be read"))
+    add_time_zero(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,7 +49,6 @@ def run(args: argparse.Namespace) -> int:
             args.model,
             args.output,
             sources=args.sources,
-            form=table_form(args),
             zero=args.time_zero,
             epoch=args.epoch,
             clock_error=args.clock_error,

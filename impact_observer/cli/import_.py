@@ -9,7 +9,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_bag_output, add_model, add_table, stamp, table_form
+from impact_observer.cli.arguments import (
+    add_bag_output,
+    add_model,
+    add_table,
+    add_unusual_table,
+    stamp,
+    table_form,
+)
 
 if TYPE_CHECKING:
     from impact_observer.io.import_table import Imported
@@ -22,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag_output(parser)
     add_model(parser, "a model file or a sample, to be put into the bag")
     add_table(parser)
+    add_unusual_table(parser)
     add(
         "--epoch",
         metavar="S",

@@ -47,6 +47,8 @@ GONE = {
     "urdf": "a robot has a URDF of its own",
 }
 """What to use instead of the commands that went in 0.4.0."""
+_IN_SOURCES = "the keys of a sensor in the file of --sources"
+_IN_TABLE = "the key table in the file of --sources"
 GONE_OPTIONS = {
     "--deviation": "--initial-deviation",
     "--compression": "zstd",
@@ -55,6 +57,20 @@ GONE_OPTIONS = {
     "--most-estimates": "--rate, --start and --duration",
     "--parameter-drift": "parts of the recording, by --start and --duration",
     "--agreed": "convergence of the estimates, in J",
+    "fit --time-unit": _IN_TABLE,
+    "fit --time-column": _IN_TABLE,
+    "fit --sort": _IN_TABLE,
+    "fit --separator": _IN_TABLE,
+    "fit --decimal": _IN_TABLE,
+    "fit --skip-rows": _IN_TABLE,
+    "fit --frame-rate": _IN_TABLE,
+    "detect --time-unit": _IN_TABLE,
+    "detect --sort": _IN_TABLE,
+    "detect --separator": _IN_TABLE,
+    "detect --decimal": _IN_TABLE,
+    "detect --stamp": _IN_SOURCES,
+    "detect --hysteresis": _IN_SOURCES,
+    "detect --inverted": _IN_SOURCES,
     "--flush": "nothing; a recorder writes to the disk every second",
     "--remap": "remappings of the nodes that listen",
 }

@@ -23,7 +23,6 @@ from impact_observer.io.bag_part import time_zero
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import impact_estimates
 from impact_observer.io.state_arrays import deviations_in
-from impact_observer.io.tables import TableForm
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.model_file import ModelText, model_text
@@ -59,7 +58,6 @@ def fit_recording(
     folder: Path,
     *,
     sources: Path | None = None,
-    form: TableForm | None = None,
     zero: int | None = None,
     epoch: int | None = None,
     clock_error: float = -1.0,
@@ -74,7 +72,6 @@ def fit_recording(
         folder: is made; it holds ``fitted.yaml``, ``impacts.csv``, ``motion.png``, the bag
             ``smoothed`` and, where impacts were found in a signal, ``sources.yaml``.
         sources: a file of sensors, and of the form of a table.
-        form: of a table, where ``sources`` says none.
         zero: stamp of time 0 of a file that is no bag, ns; None for the usual one.
         epoch: stamp of ``t = 0``, ns; None where the user gives none.
         clock_error: standard deviation of a stamp, s; negative to estimate the deviation.
@@ -93,7 +90,7 @@ def fit_recording(
     if not names:
         raise UsageError(f"{model}: no contact found; expected a stop that sensors notice")
     refuse_squares(read.system, "fit")
-    declared = read_fit_sources(sources, form or TableForm())
+    declared = read_fit_sources(sources)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
         made = Path(place) / "made"
         made.mkdir()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file that tells ``fit`` how impacts are found: sensors, and the form of a table."""
+"""The file of ``--sources``: sensors that notice impacts, and the form of a table."""
 
 import io
 from collections.abc import Iterable
@@ -34,17 +34,18 @@ class FitSources:
     form: TableForm
 
 
-def read_fit_sources(path: Path | None, form: TableForm) -> FitSources:
+def read_fit_sources(path: Path | None, form: TableForm | None = None) -> FitSources:
     """Read a file of sensors that may have a key ``table`` beside ``sources``.
 
     Args:
         path: the file; None without one.
-        form: of a table, as options give it.
+        form: of a table, as options give it; None where there are none.
 
     Raises:
         UsageError: one line that names the file, the key and what is wanted; also where both the
             file and options say how a table is to be read.
     """
+    form = form or TableForm()
     if path is None:
         return FitSources((), form)
     file, text = read_file_or_sample(path, "config/detector", "a file of sensors, or a sample")

@@ -102,21 +102,6 @@ def test_a_sound_gives_its_impacts(
     assert "(4.8e+04 Hz); time 0 is stamp 1.000000000 s, epoch 0.500000000 s" in printed
 
 
-def test_impacts_before_the_trigger_are_a_warning_unless_the_epoch_is_before_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A signal whose time zero is 0.2 s after its begin, as of an oscilloscope."""
-    for epoch, warned in (("1", True), ("0.8", False)):
-        path = tmp_path / epoch / "scope.csv"
-        path.parent.mkdir()
-        path.write_text(table(row=lambda t, a: f"{t - 0.2:.6f},{a:.5f}"), encoding="utf-8")
-        times = impact_times(path, "--contact", "stop", "--epoch", epoch)
-        np.testing.assert_allclose(times, HITS - 0.2, atol=1e-4)
-        captured = capsys.readouterr()
-        said = captured.out + captured.err
-        assert ("is before the epoch, 1.000000000 s: such events are not" in said) == warned
-
-
 def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
     """Two contacts have a column each; each run of characters that no topic has becomes ``_``."""
     path = tmp_path / "acc.csv"
@@ -152,9 +137,9 @@ def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
         (table(), ["--contact", "stop", "--topic", "ay"], 2, "no column ay; columns az"),
         (
             table(),
-            ["--contact", "stop", "--hysteresis", "28", "--baseline", "0"],
+            ["--contact", "stop", "--threshold", "90", "--baseline", "0"],
             1,
-            "at most 89.8 of the threshold 30",
+            "at most 89.8 of the threshold 90",
         ),
     ],
 )
@@ -189,7 +174,7 @@ def test_what_is_no_signal_is_said_to_be_none(
     assert main(["detect", str(sound), *given]) == 2
     assert "is no sound" in capsys.readouterr().err
     wavfile.write(sound, RATE, np.zeros(9, np.int16))
-    assert main(["detect", str(sound), "--time-unit", "ms", *given]) == 2
+    assert main(["detect", str(sound), "--time-column", "t", *given]) == 2
     assert "leave out options of a table" in capsys.readouterr().err
     assert main(["detect", str(tmp_path), "--time-zero", "3", *given]) == 2
     assert "go with a signal, not with a bag" in capsys.readouterr().err
@@ -256,3 +241,13 @@ def test_a_table_that_begins_long_before_its_time_zero_is_told_what_to_give(
     assert main(given) == 2
     assert f"choose --time-zero {zero}, the stamp of time 0" in capsys.readouterr().err
     assert main([*given, "--time-zero", str(zero)]) == 0
+
+
+def test_a_file_of_sensors_says_how_a_table_is_read(tmp_path: Path) -> None:
+    """The unit of its times; the sensor may be one of options."""
+    path, sources = tmp_path / "acc.csv", tmp_path / "rig.yaml"
+    text = table("clock,az\n", lambda t, a: f"{1e3 * t:.3f},{a:.5f}")
+    path.write_text(text, encoding="utf-8")
+    sources.write_text("table: {time_column: clock, time_unit: ms}\n", encoding="utf-8")
+    stamps = impact_times(path, "--contact", "stop", "--sources", str(sources))
+    np.testing.assert_allclose(stamps, HITS, atol=0.05 / RATE)
