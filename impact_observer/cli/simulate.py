@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     sensor = plant.SensorModel(**{k: value for k, value in given.items() if value is not None})
     model, epoch, duration = read_model(args.model), args.epoch, args.duration
     system = simulated(model)
-    sensor.check(system)
+    sensor.check(system, model.sensors)
     true = plant.RandomPlant(system, {})
     if args.random_parameters is not None:
         true = plant.random_plant(model, args.random_parameters)
@@ -115,11 +115,15 @@ def run(args: argparse.Namespace) -> int:
             system=system,
             progress=partial(show, f"writing {args.output}"),
         )
-        of_sensor = f", {len(events)} events of a sensor with {', '.join(sensor.faults)}"
+        faults = [
+            *sensor.faults,
+            *(["own errors of contacts"] if model.sensors.by_contact else []),
+        ]
+        of_sensor = f", {len(events)} events of a sensor with {', '.join(faults)}"
         of_sensor += f": {_counts(events)}"
         progress.line(
             f"{args.output}: {system.name}, {duration:g} s, {_counts(done.events)},"
-            f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
+            f" {stamps.size} true states{of_sensor if faults else ''}"
             f"{f', {len(samples)} samples' if sensors else ''}"
         )
         for line in _remarks(done, true.system, duration):

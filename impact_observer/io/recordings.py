@@ -135,7 +135,13 @@ def write_run(
     make, names = bag_messages(), system.coordinates
     n, last = system.n, int(run.stamps[-1])
     received = simulate_sensor(
-        sensor, system, run.switchings, epoch=run.epoch, last=last, seed=seed
+        sensor,
+        system,
+        run.switchings,
+        sensors=model.sensors,
+        epoch=run.epoch,
+        last=last,
+        seed=seed,
     )
     with all_or_nothing(path) as writer:
         for each in PLANT_TOPICS:

@@ -16,6 +16,12 @@ from ruamel.yaml.representer import SafeRepresenter
 
 from impact_observer.errors import ModelError, NotLinearError
 from impact_observer.model import elements, sampled_files
+from impact_observer.model.contact_sensors import KEY as SENSORS
+from impact_observer.model.contact_sensors import (
+    NO_SENSORS,
+    ContactSensors,
+    read_contact_sensors,
+)
 from impact_observer.model.declared_deviations import with_deviations, without_deviations
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
@@ -53,7 +59,7 @@ VERDICT = FITS, RESIDUAL, SHIFT, INTERVAL = ("fits", "residual", "shift", "inter
 """Keys of the provenance by which ``identify`` says whether a model fits, and what is left: the
 rms of the shifts, s, and where these are no errors of the clock a ``TimeShift``.
 """
-_COMMON_KEYS = ("name", "unit", "initial_state", "uncertainty", "provenance")
+_COMMON_KEYS = ("name", "unit", "initial_state", "uncertainty", "provenance", SENSORS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +78,7 @@ class Model:
             matrices.
         uncertainty: how well the parameters are known; None if the file says nothing.
         robot: the robot; None for a linear system.
+        sensors: errors of the sensors of single contacts.
     """
 
     linear: System | None
@@ -83,6 +90,7 @@ class Model:
     element_form: Mapping[str, Value] = field(default_factory=dict)
     uncertainty: ParameterUncertainty | None = None
     robot: RobotDescription | None = None
+    sensors: ContactSensors = NO_SENSORS
 
     def __repr__(self) -> str:
         about = self.linear if self.robot is None else self.robot
@@ -178,6 +186,8 @@ class Model:
             }
         if self.uncertainty is not None:
             document["uncertainty"] = self.uncertainty.document
+        if self.sensors.by_contact:
+            document[SENSORS] = self.sensors.document
         if provenance or self.provenance:
             verdict = {key: self._verdict.value(key) for key in VERDICT if key in self._verdict}
             document["provenance"] = {**(provenance or self.provenance), **verdict}
@@ -488,6 +498,7 @@ def _model(document: Value, folder: Path | None) -> Model:
         elements=parts,
         element_form=written,
         uncertainty=with_deviations(known, plain, system, parts),
+        sensors=read_contact_sensors(section, system.contact_names),
     )
 
 
@@ -502,6 +513,7 @@ def _robot_model(document: Mapping[str, Value], folder: Path | None) -> Model:
         _provenance(section),
         uncertainty=read_robot_uncertainty(section, plain, robot),
         robot=robot,
+        sensors=read_contact_sensors(section, robot.contact_names),
     )
 
 

@@ -79,7 +79,7 @@ class PlantNode(ManagedNode):
         self._timeout = values.number("input_timeout")
         faults: dict[str, Any] = {t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS}
         self._sensor = SensorModel(**faults)
-        self._sensor.check(self._system)
+        self._sensor.check(self._system, self._model.sensors)
         self._check_time_source()
         self._live: LiveSignals | None = None
         if isinstance(self._system, System):
@@ -225,6 +225,7 @@ class PlantNode(ManagedNode):
         self._sensing = SensorSimulation(
             self._sensor,
             self._system,
+            sensors=self._model.sensors,
             epoch=epoch,
             last=self._end,
             seed=self._seed,

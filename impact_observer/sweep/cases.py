@@ -117,9 +117,9 @@ class Sweep:
             raise UsageError(
                 f"sweep: one sample found in {self.duration:g} s at {self.rate:g} Hz; expected two"
             )
-        system = parsed(self.model).system
+        system, sensors = parsed(self.model).system, parsed(self.model).sensors
         for sensor in self.sensors:
-            SensorSimulation(sensor, system, epoch=self.epoch)
+            SensorSimulation(sensor, system, sensors=sensors, epoch=self.epoch)
         for number in range(0, self.size, self.size // len(self.laws)):
             options = self._case(number)[0]
             make_observer(parsed(self.models[0][0]), options, measurements=self.measurements)
@@ -191,7 +191,13 @@ class Sweep:
         run, system, seed = self.plant_run, parsed(self.model).system, self.seed + k
         last = int(run.stamps[-1])
         sensed = simulate_sensor(
-            sensor, system, run.switchings, epoch=run.epoch, last=last, seed=seed
+            sensor,
+            system,
+            run.switchings,
+            sensors=parsed(self.model).sensors,
+            epoch=run.epoch,
+            last=last,
+            seed=seed,
         )
         events = sorted((each.event for each in sensed), key=lambda e: (e.stamp, e.sequence))
         samples = list[SensorSample]()

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The key ``sensors`` of a model file: what is read and written, and what each mistake says."""
+
+import math
+
+import pytest
+from systems import sample
+
+from impact_observer.errors import ModelError
+from impact_observer.model import parse_model, read_model
+from impact_observer.model.contact_sensors import ContactSensor, ContactSensors
+
+RIG = """
+name: rig
+bodies: [{name: x, mass: 1}]
+stops:
+  - {name: anvil, body: x, limit: 0.1, side: above, restitution: 0.5}
+  - {name: back, body: x, limit: -0.1, side: below, restitution: 0.5}
+sensors: SENSORS
+"""
+VALUES = "{anvil: {clock_error: 1.0e-4, missed: 0.02, latency: -0.001}, back: none}"
+
+
+def rig(sensors: str) -> str:
+    """A model file with two contacts and these sensors."""
+    return RIG.replace("SENSORS", sensors)
+
+
+def test_sensors_are_read_and_written() -> None:
+    """A key that is left out has no value; a written model reads back the same."""
+    model = parse_model(rig(VALUES), "rig")
+    anvil = ContactSensor(clock_error=1e-4, missed=0.02, latency=-0.001)
+    assert model.sensors == ContactSensors((("anvil", anvil), ("back", None)))
+    assert parse_model(model.text({"seed": 1}), "written").sensors == model.sensors
+    some = parse_model(rig("{back: {missed: 0.5}}"), "rig").sensors
+    assert some == ContactSensors((("back", ContactSensor(missed=0.5)),))
+    assert parse_model(rig("{}"), "rig").sensors == sample("two_mass").sensors == ContactSensors()
+
+
+def test_matrices_and_robots_have_sensors() -> None:
+    """Both are written into what bags carry."""
+    matrices = sample("two_mass").text() + "sensors: {stop: {latency: 0.002}}\n"
+    robot = read_model("hammer_arm").text() + "sensors: {wall: none}\n"
+    for text, expected in ((matrices, ContactSensor(latency=0.002)), (robot, None)):
+        read = parse_model(text, "model")
+        ((_, found),) = read.sensors.by_contact
+        assert found == expected
+        assert parse_model(read.text(), "written").sensors == read.sensors
+
+
+@pytest.mark.parametrize(
+    ("sensors", "key", "wanted"),
+    [
+        ("{bell: none}", "sensors.bell", "expected one of anvil, back"),
+        ("{anvil: {jitter: 1}}", "sensors.anvil.jitter", "expected one of clock_error, missed"),
+        ("{anvil: no}", "sensors.anvil", "expected none, or keys: clock_error, missed, latency"),
+        ("{anvil: {missed: 1.1}}", "sensors.anvil.missed", "a probability"),
+        ("{anvil: {clock_error: -1}}", "sensors.anvil.clock_error", "0 to 1 s"),
+        ("{anvil: {latency: 11}}", "sensors.anvil.latency", "-10 to 10 s"),
+        ("{anvil: {latency: fast}}", "sensors.anvil.latency", "a number"),
+        ("none", "sensors", "expected keys: anvil, back"),
+    ],
+)
+def test_mistakes_are_one_line(sensors: str, key: str, wanted: str) -> None:
+    """Which names the key."""
+    with pytest.raises(ModelError) as error:
+        parse_model(rig(sensors), "rig")
+    assert str(error.value).startswith(f"rig: {key}: ")
+    assert wanted in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_values_are_checked_in_python_too() -> None:
+    """By the key of the model file."""
+    with pytest.raises(ModelError, match=r"sensors.stop.latency: nan found"):
+        ContactSensors((("stop", ContactSensor(latency=math.nan)),))
