@@ -63,9 +63,13 @@ def storage_of(path: Path) -> str:
         kind = BagError if inside else UnfitBagError  # a bag that is damaged, or none
         raise kind(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
     if path.suffix not in _STORAGES:
-        remedy = "; `import` makes one of a table of impact times, `detect` of a signal"
         is_signal = path.suffix.lower() in SIGNAL_FILES
-        raise UnfitBagError(f"{path}: not a bag; expected {_FORMS}{remedy if is_signal else ''}")
+        remedy = (
+            "`import` makes one of a table of impact times, `detect` of a signal"
+            if is_signal
+            else "export any other recording as CSV or WAV"
+        )
+        raise UnfitBagError(f"{path}: not a bag; expected {_FORMS}; {remedy}")
     return _STORAGES[path.suffix]
 
 

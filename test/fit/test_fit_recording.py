@@ -241,6 +241,7 @@ def test_a_phase_that_impacts_do_not_tell_is_uncertain_by_half_a_turn(run: Run, 
     ("words", "named"),
     [
         (["hits.m4a", "rig.yaml"], "hits.m4a"),
+        *(([f"hits{each}", "rig.yaml"], "CSV or WAV") for each in (".mat", ".xlsx", ".tdms")),
         (["two.csv", "rig.yaml"], "--sources"),
         (["times.txt", "hammer_arm"], "hammer_arm"),
         (["times.txt", "rig.yaml", "--sources", "odd.yaml"], "table.rows"),
@@ -254,7 +255,8 @@ def test_what_cannot_be_used_is_one_line(
     rows = "\n".join(f"{k / 100},{k % 7},{k % 5}" for k in range(200))
     (rig / "two.csv").write_text(f"time,a,b\n{rows}\n")
     (rig / "odd.yaml").write_text("table: {rows: 3}\n")
-    (rig / "hits.m4a").touch()
+    for suffix in (".m4a", ".mat", ".xlsx", ".tdms"):
+        (rig / f"hits{suffix}").touch()
     assert main(["fit", *words, "-o", "out"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert named in line
