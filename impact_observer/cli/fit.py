@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> int:
             zero=args.time_zero,
             epoch=args.epoch,
             clock_error=args.clock_error,
+            say=progress.line,
             show=progress.show,
             step=progress.step,
         )

@@ -12,7 +12,7 @@ from impact_observer.detector.peak import RINGING
 from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
 from impact_observer.model import System
 from impact_observer.plant import make_plant
-from impact_observer.stamps import NS_PER_S, from_seconds
+from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Stamps, Vector
 
 _MOST = 400
@@ -64,19 +64,47 @@ class ExpectedImpacts:
     rate: float
 
 
-def expected_impacts(system: System, seconds: float) -> ExpectedImpacts | None:
-    """Simulate at most ``seconds`` of a motion from rest; return its impacts, None without any."""
+@dataclass(frozen=True, slots=True)
+class SimulatedImpacts:
+    """Impacts of the motion from rest that the forces of a model make.
+
+    Attributes:
+        impacts: stamp, ns, and names of the contacts that switch.
+        seconds: for which the motion was simulated, s.
+    """
+
+    impacts: list[tuple[int, tuple[str, ...]]]
+    seconds: float
+
+
+def impacts_from_rest(system: System, seconds: float) -> SimulatedImpacts | None:
+    """Simulate at most ``seconds`` and some hundred impacts; None where there is no such motion.
+
+    At rest a gap may be negative, or the forcing may end.
+    """
     rest = np.zeros(system.n)
-    stamps = list[int]()
+    impacts = list[tuple[int, tuple[str, ...]]]()
     try:
         plant = make_plant(system, rest, rest, epoch=NS_PER_S)
         end = NS_PER_S + from_seconds(seconds)
-        while len(stamps) < _MOST and (switching := plant.next_switching(end)) is not None:
+        while len(impacts) < _MOST and (switching := plant.next_switching(end)) is not None:
             plant.cross(switching)
             if switching.switches:
-                stamps.append(switching.instant.stamp)
+                names = tuple(each.contact for each in switching.switches)
+                impacts.append((switching.instant.stamp, names))
     except (DynamicsError, ImpactLawError, UsageError):
-        return None  # at rest a gap is negative, or the forcing ends
+        return None
+    is_cut = len(impacts) == _MOST
+    return SimulatedImpacts(
+        impacts, seconds_between(NS_PER_S, impacts[-1][0]) if is_cut else seconds
+    )
+
+
+def expected_impacts(system: System, seconds: float) -> ExpectedImpacts | None:
+    """Simulate at most ``seconds`` of a motion from rest; return its impacts, None without any."""
+    if (simulated := impacts_from_rest(system, seconds)) is None:
+        return None
+    stamps = [stamp for stamp, _ in simulated.impacts]
     intervals = np.diff(np.array(stamps[len(stamps) // 4 :]) / NS_PER_S)
     usual = (
         intervals[intervals > _SHORTEST * np.median(intervals)] if intervals.size else intervals

@@ -14,12 +14,14 @@ from impact_observer.draw.pictures import save
 from impact_observer.draw.reports import figure
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import ImpactEstimate, Ruling
+from impact_observer.fit.before_the_fit import check_times, doubtful_contacts, model_warnings
 from impact_observer.fit.fit_and_smooth import FitTask, FittedRecording, fit_bag
 from impact_observer.fit.impacts_in_recording import RecordedImpacts, Task, read_recording
 from impact_observer.fit.recording_picture import PlottedMotion, PlottedSignal, recording_picture
 from impact_observer.fit.sources_file import read_fit_sources, sources_text
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import time_zero
+from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import impact_estimates
 from impact_observer.io.state_arrays import deviations_in
@@ -61,6 +63,7 @@ def fit_recording(
     zero: int | None = None,
     epoch: int | None = None,
     clock_error: float = -1.0,
+    say: Callable[[str], None] = lambda _: None,
     show: Callable[[str], None] = lambda _: None,
     step: Callable[[str, float, float], None] = lambda _what, _done, _total: None,
 ) -> Page:
@@ -75,6 +78,7 @@ def fit_recording(
         zero: stamp of time 0 of a file that is no bag, ns; None for the usual one.
         epoch: stamp of ``t = 0``, ns; None where the user gives none.
         clock_error: standard deviation of a stamp, s; negative to estimate the deviation.
+        say: receives lines to be printed before the fit begins.
         show: receives what is being done.
         step: receives what is being done, and how much of how much is done.
 
@@ -95,7 +99,14 @@ def fit_recording(
         made = Path(place) / "made"
         made.mkdir()
         known = Task(recording, read, declared.sources, declared.form, zero, epoch)
+        for text in model_warnings(read):
+            say(f"warning: {text}")
         impacts = read_recording(known, Path(place) / "impacts", show)
+        with BagReader(impacts.bag) as reader:
+            events = events_from(reader, impacts.epoch)
+        check_times(read.system, events, recording)
+        for text in doubtful_contacts(read.system, events):
+            say(f"warning: {text}")
         task = FitTask(
             bag=impacts.bag,
             text=_in_one_file(given, read),

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong before a fit begins: with the model, and with impacts for the model."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from impact_observer.check.model_check import check_model
+from impact_observer.check.model_report import for_json
+from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent, Kind
+from impact_observer.fit.detection_choice import impacts_from_rest
+from impact_observer.io.table_times import UNITS
+from impact_observer.model import Model, System
+from impact_observer.stamps import NS_PER_S, seconds_between
+
+_RATIO = 5.0
+"""Ratio, or inverse ratio, of impacts found and expected that is worth a line."""
+_PERIODS = 90.0
+"""Usual time between two impacts, in slowest periods of the model, beyond which no fit begins."""
+
+
+def model_warnings(model: Model) -> Iterator[str]:
+    """Return the warnings of ``check-model``, a line each."""
+    for finding in for_json(check_model(model))["findings"]:
+        if finding["kind"] == "warning":
+            yield str(finding["text"])
+
+
+def check_times(system: System, events: Sequence[ImpactEvent], recording: Path) -> None:
+    """Check that impacts follow each other as fast as the model moves.
+
+    Raises:
+        UsageError: the usual time between two impacts is far beyond the periods of the model, as
+            where times are in ms; a fit would take long and be wrong.
+    """
+    stamps = np.unique([each.stamp for each in events])
+    frequencies = np.append(check_model(system).undamped, system.forcing.frequency)
+    if stamps.size < 2 or not np.any(frequencies > 0):
+        return
+    usual = float(np.median(np.diff(stamps))) / NS_PER_S
+    most = _PERIODS * 2 * np.pi / float(np.min(frequencies[frequencies > 0]))
+    if usual > most:
+        fitting = (unit for unit in ("ms", "us", "ns") if usual * UNITS[unit] <= most * NS_PER_S)
+        raise UsageError(
+            f"{recording}: {usual:.3g} s between two impacts found; expected at most {most:.3g} s,"
+            f" {_PERIODS:g} periods of the slowest motion of {system.name}: give --time-unit"
+            f" {next(fitting, 'ns')} if the times are in this unit"
+        )
+
+
+def doubtful_contacts(system: System, events: Sequence[ImpactEvent]) -> Iterator[str]:
+    """Return a line on each contact that the model reaches far less or far more often.
+
+    The model starts at rest. Of a model that only its initial state moves nothing is said.
+    """
+    stamps = [each.stamp for each in events]
+    seconds = seconds_between(min(stamps), max(stamps))
+    simulated = impacts_from_rest(system, seconds) if system.depends_on_time else None
+    if simulated is None or not seconds:
+        return
+    expected = Counter(name for _, names in simulated.impacts for name in names)
+    found = Counter(
+        switch.contact for each in events for switch in each.switches if switch.kind != Kind.OPEN
+    )
+    for name, count in found.items():
+        usual = expected[name] * seconds / simulated.seconds
+        if not usual / _RATIO <= count <= usual * _RATIO:
+            yield (
+                f"{name}: {count} impacts found, about {usual:.3g} expected of the model at its"
+                " given values: are limits, gaps, forces and frequencies in SI units (rad/s)?"
+            )

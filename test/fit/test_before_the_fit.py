@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of a model and its impacts before a fit begins."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent
+from impact_observer.fit.before_the_fit import check_times, doubtful_contacts, model_warnings
+from impact_observer.model import parse_model, read_model
+from impact_observer.plant import simulate
+from impact_observer.stamps import grid
+
+EPOCH = 10**9
+RECORDING = Path("hits.txt")
+RIG = """\
+name: rig
+bodies: [{name: x1, mass: 1}, {name: x2, mass: 1}]
+springs:
+  - {between: [ground, x1], stiffness: 10, damping: 0.1}
+  - {between: [x1, x2], stiffness: 10, damping: 0.1}
+forces: [{body: x2, amplitude: 4, frequency: 2.5}]
+stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: 0.7}]
+"""
+
+
+@pytest.fixture(scope="module")
+def events() -> list[ImpactEvent]:
+    """The impacts of half a minute of the rig."""
+    return [*simulate("two_mass", grid(EPOCH, EPOCH + 30 * 10**9, 10.0)).events]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"), [("limit: 0.5", "limit: 500"), ("frequency: 2.5", "frequency: 250")]
+)
+def test_a_contact_that_the_model_hardly_ever_reaches_is_named(
+    right: str, wrong: str, events: list[ImpactEvent]
+) -> None:
+    """A limit in mm, or a force in another unit."""
+    assert not [*doubtful_contacts(parse_model(RIG, "rig.yaml").system, events)]
+    odd = parse_model(RIG.replace(right, wrong), "rig.yaml").system
+    (line,) = doubtful_contacts(odd, events)
+    assert line.startswith("stop: ")
+
+
+def test_a_contact_that_the_model_reaches_far_too_often_is_named(
+    events: list[ImpactEvent],
+) -> None:
+    """Of twenty impacts the recording has one."""
+    (line,) = doubtful_contacts(read_model("two_mass").system, [events[0], events[-1]])
+    assert line.startswith("stop: ")
+
+
+def test_times_in_another_unit_are_refused(events: list[ImpactEvent]) -> None:
+    """Milliseconds that are taken for seconds: the option that reads them is named."""
+    system = read_model("two_mass").system
+    check_times(system, events, RECORDING)
+    late = [replace(each, stamp=1000 * each.stamp) for each in events]
+    with pytest.raises(UsageError, match="--time-unit ms"):
+        check_times(system, late, RECORDING)
+
+
+def test_warnings_of_the_model_are_those_of_its_check() -> None:
+    """A body that no impact moves; none of a model that is right."""
+    assert not [*model_warnings(read_model("two_mass"))]
+    alone = RIG.replace("{name: x2, mass: 1}]", "{name: x2, mass: 1}, {name: x3, mass: 1}]")
+    assert any("x3" in line for line in model_warnings(parse_model(alone, "rig.yaml")))
