@@ -339,15 +339,19 @@ class PhaseMotion(Motion):
                 raise DynamicsError(
                     f"a motion from t = {self.t:.9g} s: no end after {_MOST_WINDOWS} windows"
                 )
-            if len(self._recent) >= _RECENT:
-                del self._recent[next(iter(self._recent))]
             steps, after = self._steps(len(self._ends))
-            self._recent[len(self._ends)] = steps
+            self._keep(len(self._ends), steps)
             self._starts.append(after)
             self._ends.append(steps.end)
         if number not in self._recent:
-            self._recent[number] = self._steps(number)[0]
+            self._keep(number, self._steps(number)[0])
         return self._recent[number]
+
+    def _keep(self, number: int, steps: Steps) -> None:
+        """Keep the steps of a window, and drop the oldest ones."""
+        if len(self._recent) >= _RECENT:
+            del self._recent[next(iter(self._recent))]
+        self._recent[number] = steps
 
     def _forget(self) -> None:
         """Forget the windows in which samples have changed."""
@@ -364,12 +368,10 @@ class PhaseMotion(Motion):
 
     def _steps(self, number: int) -> tuple[Steps, Vector]:
         """The steps of a window, and the state at the end, shape (N,)."""
-        flow, drive, start = (
-            self._flow,
-            self._flow.drive,
-            self._ends[number - 1] if number else 0.0,
-        )
-        now, step, count = self._start + start, flow.exponential.step, flow.exponential.steps
+        flow, drive = self._flow, self._flow.drive
+        step, count = flow.exponential.step, flow.exponential.steps
+        start = self._ends[number - 1] if number else 0.0
+        now = self._start + start
         z = self._starts[number].copy()
         z[2 * flow.n :] = drive.at(now)
         z = flow.restored(z, self._gaps)

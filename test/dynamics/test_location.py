@@ -106,11 +106,25 @@ def sampled(model: System, x: Array, horizon: float, t: float) -> float | None:
 
 
 @pytest.mark.slow
-@examples(150)
+@examples(200)
 @given(st.data())
 def test_first_closing_is_the_one_that_dense_sampling_finds(data: st.DataObject) -> None:
     """Or an earlier one between two samples, with all gaps open before it."""
-    model = data.draw(systems(contacts=(1, 3), gaps=(0.0, 2.0)))
+    assert_first_closing(data, data.draw(systems(contacts=(1, 3), gaps=(0.0, 2.0))))
+
+
+@pytest.mark.long
+@examples(10_000)
+@given(st.data())
+def test_no_closing_of_ten_thousand_systems_is_skipped(data: st.DataObject) -> None:
+    """Of up to six coordinates, with and without stiffness, harmonics and damping."""
+    rigid = data.draw(st.booleans())
+    model = data.draw(systems(max_n=6, contacts=(1, 3), gaps=(0.0, 2.0), rigid=rigid))
+    assert_first_closing(data, model)
+
+
+def assert_first_closing(data: st.DataObject, model: System) -> None:
+    """The search from a random state finds what dense sampling finds, or an earlier dip."""
     x = np.concatenate([data.draw(vectors(model.n, -1, 1)), data.draw(vectors(model.n, -4, 4))])
     assume(np.all(model.gap(x[: model.n]) > 0.01))
     t, horizon = data.draw(numbers(0, 4)), 4.0
