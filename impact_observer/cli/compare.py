@@ -203,7 +203,7 @@ def _compare_one(
 
     with BagReader(bag) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
-        read = model_of(reader, args.model, comparing=True)
+        read = model_of(reader, args.model, comparing=not options)
         truth = named_topic(reader, args.truth) if args.truth else reader.truth_topic()
         tell = partial(say, file=sys.stderr if args.json else sys.stdout)
         read_part(reader, args.start, args.duration, [truth] if truth else [], tell=tell)
