@@ -32,7 +32,7 @@ BESIDE = {
         "-o",
         "new",
     ],
-    "compare": ["{bag}", "--csv", "out.csv"],
+    "compare": ["{bag}", "--plot", "out.png"],
     "export": ["{bag}", "-o", "out.parquet"],
 }
 """Other files that commands write."""

@@ -3,7 +3,7 @@
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _OF_SENSORS_TOO = {"missed", "spurious", "mislabelled", "dead_time"}
 """Options of observers that are faults of a simulated sensor by the same names."""
-_ELSEWHERE = ("law", "history")
+_ELSEWHERE = ("law", "history", "ensemble")
 """Options that subcommands replace by own arguments, or that are of no use with a bag."""
 
 
@@ -26,21 +26,21 @@ _MOST_DIGITS, _DECIMALS = 18, 9
 
 
 def add_observer_arguments(
-    parser: "argparse._ActionsContainer", *, simulated: bool = False, ensemble: bool = False
+    parser: "argparse._ActionsContainer", names: Collection[str] = (), *, simulated: bool = False
 ) -> None:
     """Add the rows of ``OBSERVER_OPTIONS`` as arguments; ``observer_options`` reads them.
 
     Args:
         parser: of the subcommand, or a group of it.
+        names: of the rows; none for all that change an estimate.
         simulated: the command simulates: its sensor has options of the same names, its initial
             state is random, and its epoch is that of the simulation.
-        ensemble: whether to add the number of replicas, which only ``observe`` needs.
     """
     defaults = {"clock_error": "-1: learned", "epoch": "as in the bag"}
     if simulated:
         defaults |= {"initial_state": "random, of each run"}
     for each in OBSERVER_OPTIONS:
-        if each.name in _ELSEWHERE or (each.name == "ensemble" and not ensemble):
+        if each.name not in names if names else each.name in _ELSEWHERE:
             continue
         if simulated and each.name == "epoch":
             continue

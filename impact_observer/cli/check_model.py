@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_measurements,
-    add_option,
+    add_observer_arguments,
     positive,
 )
 from impact_observer.errors import BagError, UsageError
-from impact_observer.options import OBSERVER_OPTIONS, Options
+from impact_observer.options import Options
 from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
@@ -34,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
     add("bag", metavar="BAG", nargs="?", type=Path, help="a bag with impacts of this model")
     add_measurements(parser)
-    for each in OBSERVER_OPTIONS:
-        if each.name == "initial_deviation":
-            add_option(parser, each)
+    add_observer_arguments(parser, ("initial_deviation",))
     zero = "singular value that counts as zero, over the largest (default 1e-9: stamps of 1 ns)"
     add("--tolerance", metavar="R", type=positive, help=zero)
     picture = "write singular values over time: PNG, SVG, PDF"

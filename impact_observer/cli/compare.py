@@ -23,12 +23,9 @@ from impact_observer.cli.arguments import (
     add_observers,
     add_part,
     installed_laws,
-    not_negative,
     observer_options,
-    positive,
 )
 from impact_observer.errors import UsageError
-from impact_observer.options import SETTLED
 from impact_observer.plain_text import printable, say
 
 if TYPE_CHECKING:
@@ -52,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LAW,...",
         help="run observers with these laws on each bag, or with all that are installed",
     )
-    add_observer_arguments(parser)
+    add_observer_arguments(parser, ("initial_state", "clock_error"))
     add_model(parser, "a model file or a sample (default: the one in each bag)")
     add_observers(
         parser,
@@ -65,26 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write V over time to a PNG, SVG or PDF"
     )
-    parser.add_argument(
-        "--csv", metavar="FILE", type=Path, help="write the metrics, a line an estimate"
-    )
-    parser.add_argument(
-        "--settled",
-        metavar="RATIO",
-        type=positive,
-        default=SETTLED,
-        help=f"V/V0 below which an estimate has settled (default {SETTLED:g})",
-    )
     add_part(parser)
-    parser.add_argument(
-        "--from",
-        metavar="S",
-        dest="since",
-        type=not_negative,
-        help="leave out estimates earlier than S seconds after the epoch, such as a wrong start;"
-        " observers of --laws have the impacts before, too (default: all estimates count)",
-    )
-    parser.set_defaults(outputs=("plot", "csv"))
+    parser.set_defaults(outputs=("plot",))
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
@@ -92,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     """Compare bags, print the metrics, and write the files that are asked for."""
     from impact_observer.compare.bag_comparison import labelled_by_law
     from impact_observer.compare.distance_picture import distance_picture
-    from impact_observer.compare.error_tables import print_tables, write_csv
+    from impact_observer.compare.error_tables import print_tables
     from impact_observer.compare.metrics import metrics_of
     from impact_observer.draw.pictures import save
     from impact_observer.output_files import check_output
@@ -101,8 +80,6 @@ def run(args: argparse.Namespace) -> int:
     options = _options(args)
     if args.plot is not None:
         check_output(args.plot)
-    if args.csv is not None:
-        check_output(args.csv, (".csv",))
     if args.figure is not None:
         results = [(Path(args.figure), _simulate(options, args))]
     else:
@@ -113,13 +90,10 @@ def run(args: argparse.Namespace) -> int:
         say(json.dumps({law: metrics_of(each) for law, each in labelled.items()}, indent=2))
     else:
         print_tables(labelled)
-    if args.csv is not None:
-        write_csv(labelled, args.csv)
     if args.plot is not None:
         save(distance_picture(labelled, results), args.plot)
-    for what, path in (("metrics", args.csv), ("picture", args.plot)):
-        if path is not None and not args.json:
-            say(f"{what}: {path}")
+        if not args.json:
+            say(f"picture: {args.plot}")
     return 0
 
 
@@ -151,8 +125,6 @@ def _simulate(options: "Sequence[Options]", args: argparse.Namespace) -> "BagCom
             model,
             options,
             duration,
-            settled=args.settled,
-            since=args.since or 0.0,
             progress=progress.step,
         )
 
@@ -220,8 +192,6 @@ def _compare_one(
             observers,
             truth=args.truth,
             estimates=args.observers,
-            settled=args.settled,
-            since=args.since,
             progress=lambda what, done, total: progress.step(f"{bag}: {what}", done, total),
         )
     lines = sys.stderr if args.json else sys.stdout

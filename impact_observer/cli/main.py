@@ -47,6 +47,7 @@ GONE = {
     "urdf": "a robot has a URDF of its own",
 }
 """What to use instead of the commands that went in 0.4.0."""
+_OBSERVE = "observe with the option, then compare with its bag"
 _IN_SOURCES = "the keys of a sensor in the file of --sources"
 _IN_TABLE = "the key table in the file of --sources"
 GONE_OPTIONS = {
@@ -71,6 +72,19 @@ GONE_OPTIONS = {
     "detect --stamp": _IN_SOURCES,
     "detect --hysteresis": _IN_SOURCES,
     "detect --inverted": _IN_SOURCES,
+    "compare --initial-deviation": _OBSERVE,
+    "compare --clock-offset-error": _OBSERVE,
+    "compare --missed": _OBSERVE,
+    "compare --spurious": _OBSERVE,
+    "compare --mislabelled": _OBSERVE,
+    "compare --dead-time": _OBSERVE,
+    "compare --model-error": _OBSERVE,
+    "compare --estimate-parameters": _OBSERVE,
+    "compare --epoch": _OBSERVE,
+    "compare --csv": "--json",
+    "compare --from": "--start",
+    "--settled": "V of export --what errors; the ratio is 0.01",
+    "sweep --epoch": "an epoch of 1 s",
     "--flush": "nothing; a recorder writes to the disk every second",
     "--remap": "remappings of the nodes that listen",
 }

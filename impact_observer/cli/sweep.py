@@ -24,7 +24,6 @@ from impact_observer.cli.arguments import (
     parsed,
     positive,
     seed,
-    stamp,
 )
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
@@ -35,8 +34,6 @@ from impact_observer.sensor_faults import SENSOR_FAULTS
 if TYPE_CHECKING:
     from impact_observer.sweep.cases import Sweep
 
-EPOCH = 1_000_000_000
-"""Default stamp of ``t = 0``, ns."""
 SWEPT = tuple(each for each in SENSOR_FAULTS if each.name != "transport")
 """Faults that change estimates; the transport time changes none that is made of all events."""
 _SENSOR = "sensor_"
@@ -60,10 +57,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--duration", metavar="S", type=positive, default=30.0, help=duration)
     rate = "samples, Hz (default 100)"
     add("--rate", metavar="HZ", type=positive, default=100.0, help=rate)
-    epoch = "stamp of t = 0 of the forcing, s (default 1)"
-    add("--epoch", metavar="S", type=stamp, default=EPOCH, help=epoch)
-    settled = f"V/V0 below which an estimate has settled (default {SETTLED:g})"
-    add("--settled", metavar="RATIO", type=positive, default=SETTLED, help=settled)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", metavar="N", type=count, help="processes (default: all cores)")
     scheduler = "of a Dask cluster, such as tcp://10.0.0.1:8786"
@@ -164,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         failures = sum(group["failed"] for group in groups)
         counts = {"cases": wanted.size, "failed": failures, "impacts": impacts}
-        found = {**counts, "settled": wanted.settled, "groups": groups}
+        found = {**counts, "settled": SETTLED, "groups": groups}
         say(json.dumps(found, indent=2, allow_nan=False))
     else:
         print_groups(wanted, groups)
@@ -201,11 +194,9 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
         models=models_of(model, _by_name(args.off)),
         duration=args.duration,
         rate=args.rate,
-        epoch=args.epoch,
         runs=args.runs,
         seed=args.seed,
         options=replace(options, initial_state=args.initial_state or RANDOM, law="geometric"),
-        settled=args.settled,
         measurements=read_measurements(args.measurements),
     )
     sweep.check()

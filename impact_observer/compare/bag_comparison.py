@@ -23,9 +23,7 @@ from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates, deviations_in
 from impact_observer.model import System
 from impact_observer.observer import Observer
-from impact_observer.options import SETTLED
 from impact_observer.robots.robot import Robot
-from impact_observer.stamps import from_seconds
 from impact_observer.states import Stamps
 
 
@@ -55,8 +53,6 @@ def compare_bag(
     *,
     truth: str | None = None,
     estimates: Sequence[str] | None = None,
-    settled: float = SETTLED,
-    since: float | None = None,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
     """Compare the observers in a bag, and others that are run on its events, with the truth.
@@ -67,8 +63,6 @@ def compare_bag(
         observers: to run on the bag, one a law; they have received nothing yet.
         truth: the topic of the plant's true states; None for the only one in the bag.
         estimates: observers' prefixes, or topics of states; None for every observer.
-        settled: V over V at the start below which an estimate has settled.
-        since: seconds after ``t = 0``; samples before it are left out. None for all.
         progress: receives the name of the work, the amount done, and the whole amount.
 
     Raises:
@@ -88,7 +82,6 @@ def compare_bag(
         raise UnfitBagError(f"{reader.path}: has no estimates; {advice}")
     events = events_in(reader)
     zero = time_zero(reader)
-    begin = 0 if since is None else zero.stamp + from_seconds(since)
     law_of, states = states_of_topics(
         reader, system, [true_topic, *topics.values()], partial(progress, "comparing")
     )
@@ -101,8 +94,6 @@ def compare_bag(
                 true_states,
                 states[topic],
                 outcomes_in(reader, topic, events),
-                settled=settled,
-                begin=begin,
             )
             for name, topic in topics.items()
         }
@@ -112,8 +103,6 @@ def compare_bag(
                 observer,
                 events,
                 true_states,
-                settled=settled,
-                begin=begin,
                 progress=partial(progress, law),
             )
     except BagError as error:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from impact_observer.compare.energy_of_errors import contact_speeds, energies, errors_of
 from impact_observer.compare.mismatch import Mismatch, windows
-from impact_observer.errors import BagError, DynamicsError, UsageError
+from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io.pairing import (
     Pairs,
@@ -34,7 +34,7 @@ from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import SETTLED
 from impact_observer.robots.robot import Robot
-from impact_observer.stamps import NS_PER_S, seconds_between, text
+from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Matrix, Stamps, Vector
 
 _FLOOR = 10.0
@@ -66,8 +66,7 @@ class Comparison:
         rms: root mean square error of each state, shape (2n,).
         largest: largest absolute error of each state, shape (2n,).
         largest_rise: largest rise of V from one sample to the next, over V at the start.
-        settled: V over V at the start below which the estimate has settled.
-        settling_time: seconds from the first sample until it has settled for good, or None.
+        settling_time: seconds from the first sample until V stays below ``SETTLED`` V0, or None.
     """
 
     system: System | Robot
@@ -84,7 +83,6 @@ class Comparison:
     rms: Vector
     largest: Vector
     largest_rise: float
-    settled: float
     settling_time: float | None
 
     @property
@@ -181,9 +179,6 @@ def compare_states(
     truth: Samples,
     estimates: Samples,
     outcomes: EventOutcomes,
-    *,
-    settled: float = SETTLED,
-    begin: int = 0,
 ) -> Comparison:
     """Compare estimates with the truth at the stamps that both have.
 
@@ -193,26 +188,17 @@ def compare_states(
         truth: true states, in the order of the bag.
         estimates: estimated states, in the order of the bag.
         outcomes: which events the observer applied, rejected and inserted.
-        settled: V over V at the start below which the estimate has settled.
-        begin: stamp before which samples are left out, ns.
 
     Raises:
         BagError: no stamp is in both, or every estimate came before its events.
         DynamicsError: an estimate is not finite.
-        UsageError: both end before the stamp from which samples count.
     """
     if not np.isfinite(estimates["x"]).all():
         raise DynamicsError(f"{law}: the estimate has left all bounds")
     kept_truth, kept_estimates = fresh(truth), fresh(estimates)
     pairs = paired(kept_truth, kept_estimates)
-    between, mismatch = _mismatch(system, pairs, outcomes, begin)
-    counted = pairs["stamp"] >= begin
-    pairs, between = pairs[counted], between[counted]
+    between, mismatch = _mismatch(system, pairs, outcomes)
     ranges = f"truth {stamp_range(truth)}, estimate {stamp_range(estimates)}"
-    if not pairs.size and begin:
-        raise UsageError(
-            f"{law}: no sample from stamp {text(begin)} s on, where --from begins: {ranges}"
-        )
     if not pairs.size:
         raise BagError(
             f"{law}: truth and estimate have no stamp in common: {ranges};"
@@ -243,8 +229,7 @@ def compare_states(
         rms=np.sqrt(np.mean(error**2, axis=0)),
         largest=np.max(np.abs(error), axis=0),
         largest_rise=largest_rise(V),
-        settled=settled,
-        settling_time=settling_time(stamps, V, settled),
+        settling_time=settling_time(stamps, V),
     )
 
 
@@ -254,15 +239,14 @@ def largest_rise(V: NDArray[np.float64]) -> float:
     return rise / float(V[0]) if V[0] > 0 else 0.0
 
 
-def settling_time(stamps: Stamps, V: NDArray[np.float64], settled: float) -> float | None:
+def settling_time(stamps: Stamps, V: NDArray[np.float64]) -> float | None:
     """Seconds from the first sample until V has settled for good; None for never.
 
     Args:
         stamps: of the samples, ns, shape (samples,).
         V: distance from the truth at the samples, J, shape (samples,).
-        settled: V over V at the start below which the estimate has settled.
     """
-    above = np.flatnonzero(settled * V[0] < V)
+    above = np.flatnonzero(SETTLED * V[0] < V)
     since = int(above[-1]) + 1 if above.size else 0
     if since == V.size or (V[0] == 0 and V.any()):
         return None
@@ -270,7 +254,7 @@ def settling_time(stamps: Stamps, V: NDArray[np.float64], settled: float) -> flo
 
 
 def _mismatch(
-    system: System | Robot, pairs: Pairs, outcomes: EventOutcomes, begin: int
+    system: System | Robot, pairs: Pairs, outcomes: EventOutcomes
 ) -> tuple[NDArray[np.bool_], Mismatch]:
     """Mask of the samples between the jumps of truth and estimate, and their windows."""
     between, mismatch, stamps = np.zeros(pairs.size, dtype=np.bool_), Mismatch(), pairs["stamp"]
@@ -281,7 +265,7 @@ def _mismatch(
             first, end = map(int, windows(stamps, truth, estimate, impact, others))
             low, high = np.searchsorted(stamps, [first, end])
             between[low:high] = True
-            if first < end and end > begin:
+            if first < end:
                 mismatch.windows += 1
                 mismatch.longest = max(mismatch.longest, seconds_between(first, end))
     return between, mismatch
@@ -303,8 +287,6 @@ def compare_observer(
     truth: Samples,
     *,
     system: System | Robot | None = None,
-    settled: float = SETTLED,
-    begin: int = 0,
     needs_event: bool = True,
     samples: Sequence[SensorSample] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,
@@ -316,8 +298,6 @@ def compare_observer(
         events: in order of episode, stamp and sequence.
         truth: states of the plant; estimates are made at their stamps.
         system: the system whose energy is V; None for the observer's.
-        settled: V over V at the start below which the estimate has settled.
-        begin: stamp before which samples are left out, ns.
         needs_event: whether it is an error that the observer could not apply any event.
         samples: of the observer's sensors, in order of stamps.
         progress: receives the number of estimates made, and of all.
@@ -354,8 +334,6 @@ def compare_observer(
         truth,
         np.concatenate(estimates),
         outcomes,
-        settled=settled,
-        begin=begin,
     )
 
 

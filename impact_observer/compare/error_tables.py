@@ -1,49 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The metrics of comparisons in printed tables and as CSV."""
+"""The metrics of comparisons in printed tables."""
 
-import csv
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 
 from impact_observer.compare.comparison import AFTER_HITS, Comparison
-from impact_observer.compare.metrics import DISTANCE, ERRORS, IMPACTS, METRICS, metrics_of
+from impact_observer.compare.metrics import DISTANCE, ERRORS, IMPACTS, METRICS
 from impact_observer.draw.reports import ReportLine, TextTable, listed, print_facts, print_table
 from impact_observer.dynamics.lyapunov import is_seminorm
-from impact_observer.output_files import replacing
+from impact_observer.options import SETTLED
 from impact_observer.plain_text import say
 from impact_observer.robots.robot import Robot
 
 _ROUNDING = 1e-26
 """Largest ratio of V to the largest V that is rounding: V is a square, states have 16 digits."""
-
-
-def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
-    """Write a row of metrics for each estimate; a metric of states has one column for each state.
-
-    Raises:
-        UsageError: the file may not be written.
-        OutputError: the disk is full or gone.
-    """
-    rows = []
-    for label, comparison in labelled.items():
-        row: dict[str, object] = {"estimate": label, "system": comparison.system.name}
-        for key, value in metrics_of(comparison).items():
-            if isinstance(value, list):
-                of_states = zip(comparison.states, value, strict=True)
-                row |= {f"{key}_{state}": of_state for state, of_state in of_states}
-            else:
-                row[key] = value
-        rows.append(row)
-    columns = dict.fromkeys(key for row in rows for key in row)
-    with (
-        replacing(path) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.DictWriter(file, [*columns])
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def print_tables(labelled: Mapping[str, Comparison]) -> None:
@@ -101,7 +72,6 @@ def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> TextTable:
         title: ``DISTANCE`` or ``IMPACTS``: the table whose metrics are wanted.
         labelled: the comparisons by the label of their row.
     """
-    names, settled = system_names(labelled), next(iter(labelled.values())).settled
     shown = [m for m in METRICS if m.table == title and m.is_shown(labelled.values())]
     return TextTable(
         ("law", *(metric.heading for metric in shown)),
@@ -109,7 +79,7 @@ def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> TextTable:
             (label, *(metric.cell(metric.value_of(comparison)) for metric in shown))
             for label, comparison in labelled.items()
         ],
-        title=title.format(names=names, settled=settled),
+        title=title.format(names=system_names(labelled), settled=SETTLED),
     )
 
 

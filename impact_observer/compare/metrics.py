@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The metrics of a comparison: one table for JSON, CSV, the printed tables and the report.
 
-To add a metric, add a row to ``METRICS``. The metric appears in ``--json`` and ``--csv`` under its
+To add a metric, add a row to ``METRICS``. The metric appears in ``--json`` under its
 key. A metric with a column also appears in the printed table of the column, and in the report.
 ``docs/compare.md`` lists all metrics with unit and meaning; a test compares the keys and
 headings of that page with ``METRICS``.

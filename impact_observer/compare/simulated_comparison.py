@@ -11,7 +11,7 @@ from impact_observer.io.bag_part import TimeZero
 from impact_observer.io.pairing import samples_of
 from impact_observer.model import Model
 from impact_observer.observer import make_observer
-from impact_observer.options import SETTLED, Options
+from impact_observer.options import Options
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 
@@ -28,8 +28,6 @@ def compare_simulated(
     options: Sequence[Options],
     duration: float,
     *,
-    settled: float = SETTLED,
-    since: float = 0.0,
     progress: Callable[[str, float, float], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
     """Simulate a model with an ideal sensor, and run an observer with each of the ``options``.
@@ -38,8 +36,6 @@ def compare_simulated(
         model: of a linear system, with an initial state.
         options: of the observers, one a law, with one epoch; 0 for 1 s.
         duration: of the run, s.
-        settled: V over V at the start below which an estimate has settled.
-        since: seconds after the epoch; samples before that are left out.
         progress: receives the name of the work, the amount done, and the whole amount.
 
     Raises:
@@ -62,8 +58,6 @@ def compare_simulated(
             observer,
             run.events,
             truth,
-            settled=settled,
-            begin=epoch + from_seconds(since),
             progress=partial(progress, observer.law.name),
         )
         for observer in observers

@@ -23,7 +23,6 @@ from impact_observer.model.free_parameters import parametric_family, with_unit
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.samples import SensorSample
-from impact_observer.options import SETTLED
 from impact_observer.plant import (
     Plant,
     Run,
@@ -71,7 +70,6 @@ class Sweep:
         runs: number of seeds.
         seed: of the first run; run k has ``seed + k``.
         options: of the observers except the law; the initial state may be ``RANDOM``.
-        settled: V over V at the start below which an estimate has settled.
         measurements: of sensors beside the impacts.
     """
 
@@ -85,7 +83,6 @@ class Sweep:
     runs: int = 20
     seed: int = 0
     options: Options = Options(initial_state=RANDOM)  # noqa: RUF009 (it is immutable)
-    settled: float = SETTLED
     measurements: tuple[Measurement, ...] = ()
 
     @property
@@ -210,7 +207,6 @@ class Sweep:
             events,
             samples_of(run.stamps, run.states),
             system=system,
-            settled=self.settled,
             needs_event=False,
             samples=samples,
         )

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from impact_observer.draw.pictures import save, styles
 from impact_observer.draw.reports import TextTable, print_table
+from impact_observer.options import SETTLED
 from impact_observer.output_files import replacing
 from impact_observer.sweep.cases import COUNTS, FIGURES, Sweep, Value, parsed
 
@@ -90,7 +91,7 @@ def print_groups(sweep: Sweep, groups: Sequence[Group]) -> None:
         )
         for group in groups
     ]
-    about = f"Medians (quartiles) over the runs; settled while V stays below {sweep.settled:g} V0"
+    about = f"Medians (quartiles) over the runs; settled while V stays below {SETTLED:g} V0"
     print_table(TextTable((*headings, "V/V0 at the end", *failed), rows, title=about))
 
 
@@ -145,7 +146,7 @@ def save_picture(sweep: Sweep, groups: Sequence[Group], path: Path) -> None:
     if None in times:
         ticks = [float(tick) for tick in upper.get_yticks() if 0 <= tick <= longest]
         upper.set_yticks([*ticks, never], [*(f"{tick:g}" for tick in ticks), "never"])
-    upper.set(ylim=(0, None), ylabel=f"settling time (V < {sweep.settled:g} V0) [s]")
+    upper.set(ylim=(0, None), ylabel=f"settling time (V < {SETTLED:g} V0) [s]")
     lower.set(ylim=(-5, 105), ylabel="not settled [%]")
     if columns:
         lower.set_xlabel(sweep.title(columns[0]))

@@ -62,8 +62,6 @@ def test_metrics_are_those_of_a_simulated_bag(
         "open-loop,geometric",
         "--initial-state",
         "random:2",
-        "--from",
-        "1",
         "--json",
     )
     assert main(["simulate", "two_mass", "--duration", "3", "-o", bag]) == 0

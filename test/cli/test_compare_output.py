@@ -40,15 +40,15 @@ def metrics(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, di
     return dict(found)
 
 
-def test_only_samples_from_a_time_on_count(
+def test_a_part_has_the_errors_of_its_samples(
     bag: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """``--from`` counts from the epoch: errors are those of the rows that export writes."""
+    """``--start`` counts from the epoch: errors are those of the rows that export writes."""
     table = tmp_path / "errors.csv"
     assert main(["export", str(bag), "-o", str(table), "--what", "errors"]) == 0
     with table.open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if float(row["time_s"]) >= 3]
-    found = metrics(capsys, str(bag), "--from", "3")["geometric"]
+    found = metrics(capsys, str(bag), "--start", "3")["geometric"]
     assert found["samples"] == len(rows)
     assert found["start_stamp_ns"] == int(rows[0]["stamp_ns"])
     assert found["V_start"] == float(rows[0]["V"])
@@ -56,28 +56,6 @@ def test_only_samples_from_a_time_on_count(
     assert found["rms"][0] == pytest.approx((sum(squares) / len(rows)) ** 0.5)
     whole = metrics(capsys, str(bag))["geometric"]
     assert found["mismatch_windows"] < whole["mismatch_windows"]
-    assert main(["compare", str(bag), "--from", "7"]) == 2
-    assert "no sample from stamp 8.000000000 s on, where --from begins" in capsys.readouterr().err
-
-
-def test_the_csv_has_every_metric_of_the_json(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A line an estimate; errors have a column a state."""
-    path = tmp_path / "metrics.csv"
-    found = metrics(
-        capsys, str(bag), "--laws", "kinematic", "--initial-state", "zero", "--csv", str(path)
-    )
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = {row["estimate"]: row for row in csv.DictReader(file)}
-    assert rows.keys() == found.keys() == {"geometric", "kinematic"}
-    for label, row in rows.items():
-        for key, value in found[label].items():
-            if isinstance(value, list):
-                names = [f"{key}_{state}" for state in ("x1", "x2", "dx1/dt", "dx2/dt")]
-                assert [float(row[name]) for name in names] == value
-            else:
-                assert row[key] == ("" if value is None else str(value))
 
 
 @pytest.mark.slow
@@ -131,7 +109,7 @@ def test_a_topic_of_another_package_can_be_compared(
     [
         (["--observers", "observer_x"], r"no topic or observer /observer_x; in the bag: /impacts"),
         (["--truth", "/t"], r"no topic or observer /t; in the bag: /impacts"),
-        (["--csv", "nowhere/f.csv"], "nowhere/f.csv"),
+        (["--plot", "nowhere/f.svg"], "nowhere/f.svg"),
         (
             ["--observers", "/impacts"],
             r"/impacts is impact_observer_msgs/msg/ImpactEvent; expected",
