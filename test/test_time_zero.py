@@ -108,7 +108,7 @@ def test_a_fit_begins_with_the_first_sample(
 
 def test_pictures_count_from_the_first_impact(ball: Path) -> None:
     """Axes of time say so, and begin with the samples before it."""
-    words = "observe bag --law geometric --measurements camera.yaml --rate 100 -o out"
+    words = "observe bag --law minimum-variance --measurements camera.yaml --rate 100 -o out"
     assert main(words.split()) == 0
     with BagReader(ball.parent / "out") as reader:
         motion = read_motion(reader)
