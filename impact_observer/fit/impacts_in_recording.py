@@ -26,7 +26,7 @@ from impact_observer.io.import_table import import_table
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import epoch_of
-from impact_observer.io.signals import Signal, read_signal, signal_of_table, topic_of
+from impact_observer.io.signals import Signal, check_stamps, read_signal, signal_of_table, topic_of
 from impact_observer.io.tables import TableForm, read_table
 from impact_observer.message_fields import header_stamp, numbers_at
 from impact_observer.model import Model
@@ -140,22 +140,30 @@ def _before(events: Sequence[ImpactEvent]) -> int:
 
 def _signal(task: Task) -> Signal | None:
     """Return the signal in a file; None where a table has times of impacts."""
-    if task.sources or task.path.suffix.lower() in SOUND_FILES:
+    if task.path.suffix.lower() in SOUND_FILES:
         return read_signal(task.path, task.form, task.zero)
     try:
         table = read_table(task.path, task.form or TableForm(), "time, value")
     except UsageError:
+        if task.sources:
+            raise
         return None  # a table of nothing but times; of other tables import says what is wrong
     intervals = np.diff(table.times)
     usual = np.median(intervals) if intervals.size else 0.0
     is_even = bool(usual) and np.median(np.abs(intervals - usual)) < _EVEN * usual
-    if not is_even or not table.columns_of_numbers() or table.find("contact") is not None:
+    is_signal = is_even and table.columns_of_numbers() and table.find("contact") is None
+    if not task.sources and not is_signal:
         return None
-    return signal_of_table(table, task.zero)
+    zero, first = task.zero, int(table.times[0])
+    if zero is None and first < 0:  # an oscilloscope begins before its trigger
+        zero = NS_PER_S * (1 - first // NS_PER_S)
+    signal = signal_of_table(table, zero)
+    check_stamps(task.path, signal.stamps, signal.zero)
+    return signal
 
 
 def _from_signal(task: Task, signal: Signal, bag: Path) -> RecordedImpacts:
-    """Find the impacts in a signal; where no epoch is given, time 0 or the first sample is it."""
+    """Find the impacts in a signal; without an epoch the first of time 0 and a sample is it."""
     columns = {topic: name for name, topic in signal.topics.items()}
     moving = {topic: name for topic, name in columns.items() if np.ptp(signal.columns[name]) > 0}
     declared = task.sources or [Source(task.contact, _only(task.path, moving))]
@@ -166,7 +174,8 @@ def _from_signal(task: Task, signal: Signal, bag: Path) -> RecordedImpacts:
             known = np.isfinite(values)
             arrays[source.topic] = signal.stamps[known], values[known]
     choice = _chosen(task, declared, arrays)
-    start = signal.zero or int(signal.stamps[0])
+    first = int(signal.stamps[0])
+    start = min(signal.zero or first, first)
     epoch = task.epoch or (start if task.model.system.depends_on_time else 0)
     found = detect_signal(signal, choice.sources, bag, model=task.model, epoch=epoch, traced=True)
     impacts = _found(task, bag, found, choice, epoch=epoch, knows_epoch=task.epoch is not None)

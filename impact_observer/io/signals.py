@@ -90,9 +90,6 @@ def read_signal(path: Path, form: TableForm | None = None, zero: int | None = No
         signal = _sound(path, NS_PER_S if zero is None else zero)
     else:
         raise UsageError(f"{path}: a sound has its times itself; leave out options of a table")
-    if len({*signal.topics.values()}) < len(signal.columns):
-        problem = f"two columns of one name in {', '.join(signal.columns)}; rename one"
-        raise UsageError(f"{path}: {problem}: only letters and digits count")
     check_stamps(path, signal.stamps, signal.zero)
     return signal
 
@@ -105,13 +102,17 @@ def signal_of_table(table: Table, zero: int | None) -> Signal:
         zero: stamp of its time zero, ns; None as for :func:`read_signal`.
 
     Raises:
-        UsageError: there is no column of numbers, or most times have lost their digits.
+        UsageError: there is no column of numbers, two are of one name, or most times have lost
+            their digits.
     """
     columns = {name: table.numbers(name) for name in table.columns_of_numbers()}
     if not columns:
         found = ", ".join(table.cells) or "no column"
         table.wrong(table.header or 1, f"{found} beside the time found; expected numbers")
     omissions = {name: table.omission(name, values) for name, values in columns.items()}
+    if len({*map(topic_of, columns)}) < len(columns):
+        problem = f"two columns of one name in {', '.join(columns)}; rename one"
+        raise UsageError(f"{table.path}: {problem}: only letters and digits count")
     zero = zero_of(int(table.times[0]), zero)
     return Signal(
         path=table.path,

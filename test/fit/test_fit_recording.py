@@ -12,6 +12,7 @@ import pytest
 from scipy.io import wavfile
 
 from impact_observer.cli.main import main
+from impact_observer.fit.impacts_in_recording import Task, read_recording
 from impact_observer.io import BagReader, BagWriter, Quality
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import impact_estimates
@@ -182,6 +183,24 @@ def test_a_known_epoch_keeps_the_phase(run: Run, rig: Path) -> None:
     recording = typed_times(run, rig).name
     assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
     assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
+
+
+def test_impacts_before_the_trigger_of_an_oscilloscope_count(run: Run, rig: Path) -> None:
+    """The same impacts where the table begins at -10.5 s."""
+    header, *rows = oscilloscope(run, rig).read_text().splitlines()
+    early = rig / "early.csv"
+    times = ((float(row.split(";")[0].replace(",", ".")), row.split(";")[1]) for row in rows)
+    moved = "\n".join(f"{t - 10.5:.3f};{value}".replace(".", ",") for t, value in times)
+    early.write_text(f"{header}\n{moved}\n")
+    model, found = read_model(rig / "rig.yaml"), []
+    for path in (rig / "scope.csv", early):
+        recorded = read_recording(Task(path, model), rig / f"{path.stem}_bag")
+        with BagReader(recorded.bag) as reader:
+            stamps = np.array([each.stamp for each in reader.events()])
+        assert recorded.epoch < stamps[0]
+        found.append(stamps - stamps[0])
+    assert found[0].size == len(run.events)
+    assert found[1] == pytest.approx(found[0], abs=1000)
 
 
 @pytest.mark.parametrize(
