@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of a fit: the files in its folder, and the lines that are printed."""
 
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +19,12 @@ from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.fit.before_the_fit import check_times, doubtful_contacts, model_warnings
 from impact_observer.fit.fit_and_smooth import FitTask, FittedRecording, fit_bag
 from impact_observer.fit.impacts_in_recording import RecordedImpacts, Task, read_recording
-from impact_observer.fit.recording_picture import PlottedMotion, PlottedSignal, recording_picture
+from impact_observer.fit.recording_picture import (
+    PlottedMotion,
+    PlottedSignal,
+    recording_picture,
+    signal_picture,
+)
 from impact_observer.fit.sources_file import read_fit_sources, sources_text
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import time_zero
@@ -47,7 +54,7 @@ class Page:
 
     Attributes:
         fits: whether the model explains the impacts.
-        lines: at most 15, to be printed.
+        lines: at most 15, to be printed after the fit.
     """
 
     fits: bool
@@ -78,7 +85,8 @@ def fit_recording(
         zero: stamp of time 0 of a file that is no bag, ns; None for the usual one.
         epoch: stamp of ``t = 0``, ns; None where the user gives none.
         clock_error: standard deviation of a stamp, s; negative to estimate the deviation.
-        say: receives lines to be printed before the fit begins.
+        say: receives lines to be printed before the fit begins: what is in doubt, and how the
+            impacts were found. ``motion.png`` then shows the signal alone.
         show: receives what is being done.
         step: receives what is being done, and how much of how much is done.
 
@@ -96,8 +104,6 @@ def fit_recording(
     refuse_squares(read.system, "fit")
     declared = read_fit_sources(sources)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
-        made = Path(place) / "made"
-        made.mkdir()
         known = Task(recording, read, declared.sources, declared.form, zero, epoch)
         for text in model_warnings(read):
             say(f"warning: {text}")
@@ -105,6 +111,8 @@ def fit_recording(
         with BagReader(impacts.bag) as reader:
             events = events_from(reader, impacts.epoch)
         check_times(read.system, events, recording)
+        for text in impacts.lines:
+            say(text)
         for text in doubtful_contacts(read.system, events):
             say(f"warning: {text}")
         task = FitTask(
@@ -117,9 +125,12 @@ def fit_recording(
             mislabelled=impacts.mislabelled,
             resolution=impacts.resolution,
         )
-        fit = fit_bag(task, made / "fitted.yaml", made / "smoothed", show=show, step=step)
-        hits = _write(fit, impacts, made)
-        made.rename(folder)
+        with _new_folder(folder):
+            if impacts.sources:
+                _write_detection(impacts, folder, read.system.name)
+                say(f"{folder / 'motion.png'}: the signal, with the peaks that are impacts")
+            fit = fit_bag(task, folder / "fitted.yaml", folder / "smoothed", show=show, step=step)
+            hits = _write(fit, impacts, folder)
     return Page(fit.fits, [*_lines(task, fit, impacts, hits, folder)])
 
 
@@ -133,7 +144,7 @@ def _in_one_file(given: ModelText, model: Model) -> ModelText:
 
 
 def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list[ImpactEstimate]:
-    """Write table, picture and sensors; return the estimates of impacts."""
+    """Write table and picture; return the estimates of impacts."""
     system = fit.model.system
     with BagReader(folder / "smoothed") as reader:
         write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], None, _silent))
@@ -146,14 +157,36 @@ def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list
     stamps, positions, deviations = (np.concatenate(each) for each in zip(*blocks, strict=True))
     motion = PlottedMotion(system.coordinates, stamps, positions, deviations)
     units = system.unit, unit_of("J", system.unit)
-    signals = [*map(PlottedSignal, impacts.sources, impacts.traces, impacts.refused)]
     title = f"{system.name} {'fits' if fit.fits else 'does not fit'}"
+    signals = _signals(impacts)
     picture = recording_picture(signals, motion, hits, zero=zero, units=units, title=title)
     save(picture, folder / "motion.png")
-    if impacts.sources:
-        text = sources_text(impacts.sources)
-        (folder / "sources.yaml").write_text(text, encoding="utf-8")
     return hits
+
+
+def _signals(impacts: RecordedImpacts) -> list[PlottedSignal]:
+    """Return the signals in which the impacts were found."""
+    return [*map(PlottedSignal, impacts.sources, impacts.traces, impacts.refused)]
+
+
+def _write_detection(impacts: RecordedImpacts, folder: Path, name: str) -> None:
+    """Write the sensors, and the picture of their signals alone."""
+    text = sources_text(impacts.sources)
+    (folder / "sources.yaml").write_text(text, encoding="utf-8")
+    title = f"{name} is being fitted"
+    picture = signal_picture(_signals(impacts), zero=impacts.epoch, title=title)
+    save(picture, folder / "motion.png")
+
+
+@contextmanager
+def _new_folder(folder: Path) -> Iterator[None]:
+    """Make ``folder``, and remove it where the fit ends early: the command can be repeated."""
+    folder.mkdir()
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def _lines(
@@ -163,8 +196,7 @@ def _lines(
     hits: Sequence[ImpactEstimate],
     folder: Path,
 ) -> Iterator[str]:
-    """Return the lines that tell what was found, and what is in doubt."""
-    yield from impacts.lines
+    """Return the lines that tell what was fitted, and what is in doubt."""
     yield _verdict(task, fit, hits)
     yield from _numbers(task, fit)
     yield from _motion(fit, hits)

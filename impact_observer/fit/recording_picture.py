@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from impact_observer.detector import Source
 from impact_observer.detector.sensors import SignalTrace
@@ -72,25 +73,54 @@ def recording_picture(
         units: of positions and of energies.
         title: above all rows.
     """
-    rows = len(signals) + 2
-    figure = Figure(figsize=(11.0, 2.3 * rows), layout="constrained")
-    figure.suptitle(title)
-    grid = figure.subplots(rows, 2, sharex="col", squeeze=False, width_ratios=(3, 2))
+    figure, grid = _rows(len(signals) + 2, title)
     contacts = [*dict.fromkeys(each.contact for each in impacts if each.contact)]
+    for column in grid.T:
+        _draw_motion(column[-2], motion, zero)
+        _draw_energy(column[-1], impacts, contacts, zero)
+    labels = [f"position [{units[0]}]", f"energy lost [{units[1]}]"]
+    _finish(grid, signals, labels, [each.stamp for each in impacts], zero)
+    return figure
+
+
+def signal_picture(signals: Sequence[PlottedSignal], *, zero: int, title: str) -> Figure:
+    """Rows of signals alone, as :func:`recording_picture` has them.
+
+    Args:
+        signals: one at least.
+        zero: stamp of the time zero of the axis, ns.
+        title: above all rows.
+    """
+    figure, grid = _rows(len(signals), title)
+    _finish(grid, signals, [], [at for each in signals for at in each.trace.impacts], zero)
+    return figure
+
+
+def _rows(count: int, title: str) -> tuple[Figure, NDArray[np.object_]]:
+    """Return a figure and its axes, shape (count, 2): of the whole recording and of a part."""
+    figure = Figure(figsize=(11.0, 2.3 * count), layout="constrained")
+    figure.suptitle(title)
+    return figure, figure.subplots(count, 2, sharex="col", squeeze=False, width_ratios=(3, 2))
+
+
+def _finish(
+    grid: NDArray[np.object_],
+    signals: Sequence[PlottedSignal],
+    labels: Sequence[str],
+    stamps: Sequence[int],
+    zero: int,
+) -> None:
+    """Draw the signals in the first rows, name all rows, and choose the part around ``stamps``."""
     for column in grid.T:
         for axes, signal in zip(column, signals, strict=False):
             _draw_signal(axes, signal, zero)
-        _draw_motion(column[-2], motion, zero)
-        _draw_energy(column[-1], impacts, contacts, zero)
         column[-1].set_xlabel("time [s]")
-    labels = [f"{signal.source.contact}: {signal.source.topic}" for signal in signals]
-    labels += [f"position [{units[0]}]", f"energy lost [{units[1]}]"]
-    for axes, label in zip(grid[:, 0], labels, strict=True):
+    names = [f"{signal.source.contact}: {signal.source.topic}" for signal in signals]
+    for axes, label in zip(grid[:, 0], [*names, *labels], strict=True):
         axes.set_ylabel(label)
         axes.legend(loc="upper right", fontsize="small", ncols=3)
-    if impacts:
-        grid[0, 1].set_xlim(*_detail([each.stamp for each in impacts], zero))
-    return figure
+    if stamps:
+        grid[0, 1].set_xlim(*_detail(stamps, zero))
 
 
 def _draw_signal(axes: Axes, drawn: PlottedSignal, zero: int) -> None:

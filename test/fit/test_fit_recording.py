@@ -12,6 +12,7 @@ import pytest
 from scipy.io import wavfile
 
 from impact_observer.cli.main import main
+from impact_observer.fit.fit_page import fit_recording
 from impact_observer.fit.impacts_in_recording import Task, read_recording
 from impact_observer.io import BagReader, BagWriter, Quality
 from impact_observer.io.messages import bag_messages
@@ -183,6 +184,23 @@ def test_a_known_epoch_keeps_the_phase(run: Run, rig: Path) -> None:
     recording = typed_times(run, rig).name
     assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
     assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
+
+
+def test_the_signal_is_shown_before_the_fit_begins(run: Run, rig: Path) -> None:
+    """Count, options and picture; a fit that is interrupted leaves no folder."""
+    said = list[str]()
+
+    def interrupt(what: str) -> None:
+        if what.startswith("rig: "):
+            assert any(f"{len(run.events)} impacts of stop; --threshold" in each for each in said)
+            assert {each.name for each in Path("out").iterdir()} == {"motion.png", "sources.yaml"}
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_recording(
+            oscilloscope(run, rig), "rig.yaml", Path("out"), say=said.append, show=interrupt
+        )
+    assert not Path("out").exists()
 
 
 def test_impacts_before_the_trigger_of_an_oscilloscope_count(run: Run, rig: Path) -> None:
