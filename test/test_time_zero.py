@@ -98,7 +98,7 @@ def test_a_fit_begins_with_the_first_sample(
     """The ball is at 1 m then, as it was dropped; rounded samples have no white errors."""
     del ball
     words = "identify bag --free restitution --measurements camera.yaml --clock-error 1e-6"
-    assert main([*words.split(), "--accept", "--plot", "fit.png"]) == 0
+    assert main([*words.split(), "--plot", "fit.png"]) == 0
     printed = capsys.readouterr().out
     assert f"note: {NOTE}\n" in printed
     assert "The start is 0.451524 s before the first impact." in printed

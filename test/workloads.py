@@ -14,7 +14,7 @@ OFFLINE = {
     "new": ["rig", "--from", "ball"],
     "check-model": ["two_mass", "{bag}"],
     "fit": ["{csv}", "two_mass", "-o", OUT, "--epoch", "1"],
-    "identify": ["{bag}", "--free", "restitution", "--held-back", "0", "-o", "out.yaml"],
+    "identify": ["{bag}", "--free", "restitution", "-o", "out.yaml"],
     "simulate": ["two_mass", "--duration", "3", "--rate", "100", "-o", OUT],
     "detect": ["{switch}", "--contact", "stop", "--topic", "/switch", "-o", OUT],
     "import": ["{csv}", "--model", "two_mass", "-o", OUT],

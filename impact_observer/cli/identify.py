@@ -15,7 +15,6 @@ from impact_observer.cli.arguments import (
     add_model,
     add_part,
     number,
-    positive,
     stamp,
 )
 from impact_observer.errors import BagError, UsageError
@@ -34,8 +33,6 @@ if TYPE_CHECKING:
     from impact_observer.model.model_file import ModelText
     from impact_observer.model.parameter_uncertainty import ParameterUncertainty
     from impact_observer.observer.samples import SensorSample
-
-_MOST_HELD_BACK = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -82,34 +79,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="stamp of t = 0 of the forcing (default: as in the bag)",
     )
     parser.add_argument(
-        "--horizon",
-        metavar="S",
-        type=positive,
-        help="use only the first S seconds of the bag, or of its part (default: all)",
-    )
-    parser.add_argument(
-        "--trust-events",
-        action="store_true",
-        help="reject no impact as spurious and insert no missed one",
-    )
-    parser.add_argument(
-        "--held-back",
-        metavar="SHARE",
-        type=number,
-        default=0.2,
-        help="share of the impacts, the last ones, on which a fit of the others is checked;"
-        " 0: none (default 0.2)",
-    )
-    parser.add_argument(
         "--check",
         action="store_true",
         help="only check whether the model fits the times",
-    )
-    parser.add_argument(
-        "--accept",
-        action="store_true",
-        help="end with exit code 0 also if the model does not fit (default: 1), unless the values"
-        " are useless: of a parameter that is not determined or at its bound, or of no motion",
     )
     parser.add_argument(
         "-o",
@@ -135,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         0; 1 if a parameter is not determined or ends at its bound, no motion explains the impacts,
-        or the model does not fit and is not accepted.
+        or the model does not fit.
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.pictures import save
@@ -162,9 +134,6 @@ def run(args: argparse.Namespace) -> int:
                 family,
                 given.events,
                 clock=clock,
-                horizon=args.horizon,
-                trust_events=args.trust_events,
-                held_back=args.held_back,
                 progress=lambda what: progress.show(f"{family.system.name}: {what}"),
                 measurements=given.measurements,
                 samples=given.samples,
@@ -183,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
             " do not (docs/nodes.md)",
             file=lines,
         )
-    good = not fit_report.why_useless(fit) and (checked.fits or args.accept)
+    good = not fit_report.why_useless(fit) and checked.fits
     if args.output is not None:
         good = _write(args, fit, checked, given.text) and good
     if args.plot is not None:
@@ -279,8 +248,7 @@ def _write(
     from impact_observer.identify import fit_report
 
     if reason := fit_report.why_useless(fit):
-        accept = "; --accept does not change that" if args.accept else ""
-        words, is_whole = f"{args.output} is not written: {reason}{accept}", False
+        words, is_whole = f"{args.output} is not written: {reason}", False
     else:
         left_out = fit_report.write_model(
             fit, given, args.bag, args.output, initial=args.initial_state
@@ -299,11 +267,6 @@ def _write(
 
 def _check_usage(args: argparse.Namespace, free: tuple[str, ...], clock: float | None) -> None:
     """Raise UsageError before the work is done."""
-    if not 0 <= args.held_back <= _MOST_HELD_BACK:
-        raise UsageError(
-            f"--held-back: {args.held_back:g} found;"
-            f" expected a share from 0 to {_MOST_HELD_BACK:g}"
-        )
     if args.initial_state and args.output is None:
         raise UsageError("--initial-state: written into the model, so -o is needed")
     if args.check and (free or args.output):

@@ -340,7 +340,8 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "error",
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, free other"
-            f" parameters, or take a shorter --horizon (docs/troubles.md).{_about_horizon(fitted)}"
+            " parameters, or take a part by --duration (docs/troubles.md)."
+            f"{_about_first_part(fitted)}"
             f"{_about_dead_time(fitted)}{_about_others(fitted)}{_without_a_fit(fitted)}",
         )
     elif not check.fits:
@@ -380,14 +381,14 @@ def _about_dead_time(fitted: Identification) -> str:
     )
 
 
-def _about_horizon(fitted: Identification) -> str:
-    """How many of the first impacts a motion explains, and the horizon that has them; or empty."""
+def _about_first_part(fitted: Identification) -> str:
+    """How many of the first impacts a motion explains, and how long these take; or empty."""
     reached = fitted.reached
     if reached is None:
         return ""
-    horizon = np.ceil((reached.end - fitted.recording.start) * 1e3) / 1e3
+    seconds = np.ceil((reached.end - fitted.recording.start) * 1e3) / 1e3
     impacts = counted(reached.moments, "impact")
-    return f" A motion explains the first {impacts}: --horizon {horizon:.10g} fits these alone."
+    return f" A motion explains the first {impacts}, which take {seconds:.10g} s: fit these alone."
 
 
 def _may_be_a_clock(fitted: Identification) -> bool:
@@ -557,9 +558,7 @@ def _about_errors(fitted: Identification, check: FitCheck) -> Iterator[ReportLin
         return
     held = fitted.held_back
     if held is None:
-        yield ReportLine(
-            "note", "No impacts were held back for a check: too few, or --held-back 0."
-        )
+        yield ReportLine("note", "No impacts were held back for a check: too few.")
         return
     yield ReportLine(
         "ok" if fitted.carries_over else "note",

@@ -75,7 +75,6 @@ from impact_observer.model.system import refuse_squares
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
-from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
 
 _SUSPICIOUS = 0.01
@@ -98,6 +97,8 @@ _ROW_ROUNDS = 60
 """Most fits, each with the bounces of the one before: each may show one row more."""
 _UNDECLARED = 24
 """Most events for which such bounces are tried without a declared dead time: 40 take 17 s."""
+_HELD_BACK = 0.2
+"""Share of the impacts, the last ones, on which a fit of the others is checked."""
 _FAILURES = 3
 """Such fits in a row that do not converge, after which no more follow."""
 _MOTIONS = 400
@@ -257,9 +258,7 @@ def identify(
     events: list[ImpactEvent],
     *,
     clock: float | None = None,
-    horizon: float | None = None,
     trust_events: bool = False,
-    held_back: float = 0.2,
     progress: Callable[[str], None] = lambda _: None,
     measurements: Sequence[Measurement] = (),
     samples: Sequence[SensorSample] = (),
@@ -273,10 +272,7 @@ def identify(
         family: a system and its free parameters.
         events: their last episode counts.
         clock: standard deviation of a stamp, s; None to estimate it.
-        horizon: seconds of the recording that count; None for all.
         trust_events: whether to reject no impact as spurious and to insert no missed one.
-        held_back: share of the impacts, the last ones, on which a fit of the others is checked;
-            the values are from all impacts. With too few impacts none are held back.
         progress: receives what is being done.
         measurements: what sensors measure beside the impacts.
         samples: of them; those up to the last impact count.
@@ -302,17 +298,13 @@ def identify(
         )
     episode = last_episode(family.system, events)
     require_epoch(family.system, max(each.epoch for each in events))
-    if horizon is not None:
-        start, keys = episode.start, episode.keys
-        keys = [key for key in keys if seconds_between(start, key.stamp) <= horizon]
-        episode = episode._replace(keys=keys)
     report = FitProgress(progress)
     whole = Recording(episode, report=report, dead_time=dead_time, mislabelled=mislabelled)
     whole = _with_samples(whole, family, clock, measurements, samples)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
     if (with_prior := _with_prior(whole, family, clock, prior)) is whole:
-        return search.identification(held_back)
-    found = search._replace(whole=with_prior).identification(held_back)
+        return search.identification()
+    found = search._replace(whole=with_prior).identification()
     if found.converged and chance_of(found.prior_shifts) >= DOUBTED:
         return found
     report.stage("without the declared deviations")
@@ -320,7 +312,7 @@ def identify(
     try:
         if not explained(plain.fit_as_reported().solution, clock):
             return found
-        alone = search.identification(held_back)
+        alone = search.identification()
     except IdentificationError:  # impacts alone do not determine all that is free
         return found
     return replace(alone, refuted=prior) if check_fit(alone).fits and alone.converged else found
@@ -352,12 +344,12 @@ class _Search(NamedTuple):
     is_grown: bool = True
     is_smoothed: bool = False
 
-    def identification(self, held_back: float) -> Identification:
+    def identification(self) -> Identification:
         """The fit, checked on the last impacts, with the parameters that were not free."""
         fitted = self.unexplained() or self.with_fewer_outliers(self.explaining_fit())
         own, problem, solution = fitted
         is_checked = own.converged or self.trust_events
-        checked = last_impacts(problem, solution, held_back) if is_checked else None
+        checked = last_impacts(problem, solution, _HELD_BACK) if is_checked else None
         return self.with_others(fitted._replace(identification=replace(own, held_back=checked)))
 
     def explaining_fit(self) -> _Fitted:

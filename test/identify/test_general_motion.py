@@ -97,7 +97,7 @@ def test_identify_takes_live_forces_and_grounds_from_a_bag(
     wrong = RIG.replace("gap: 0.2, restitution: 0.7", "gap: 0.2, restitution: 0.6")
     (tmp_path / "rig.yaml").write_text(wrong)
     command = ["identify", str(recorded), "--model", str(tmp_path / "rig.yaml"), "-o", str(output)]
-    assert main([*command, "--free", "restitution.foot", "--held-back", "0"]) == 0
+    assert main([*command, "--free", "restitution.foot"]) == 0
     assert "restitution.foot" in capsys.readouterr().out
     foot = read_model(output).system.contacts[0]
     assert foot.restitution == pytest.approx(0.7, rel=1e-5)
