@@ -19,7 +19,7 @@ TERMS = 15
 """Number of terms of a Taylor polynomial: the first omitted one is below 1e-18."""
 STEPS = 32
 """Most steps of a window; windows of large matrices have fewer, as each step has a matrix."""
-_NUMBERS = 1 << 20
+_NUMBERS = 1 << 19
 """Numbers in the matrices of all steps of a window."""
 STEP = 2 * np.pi / 16
 """Angle of the fastest rate in a step, rad."""

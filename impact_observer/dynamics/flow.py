@@ -237,10 +237,11 @@ class Flow:
     def _states(self) -> Matrix:
         """Taylor coefficients of (q, u), shape (TERMS 2n, N)."""
         n = self.n
-        outputs = np.eye(2 * n, len(self.exponential.A))
+        rows = self.exponential.terms[:, : 2 * n]
         if self._Q is not None and self._rest is not None:
+            outputs = np.eye(2 * n, len(self.exponential.A))
             outputs[:n, :n], outputs[:n, -1] = self._Q, self._rest
-        rows = self.exponential.rows(outputs)
+            rows = self.exponential.rows(outputs)
         return np.ascontiguousarray(rows.reshape(TERMS * 2 * n, -1))
 
     @cached_property
