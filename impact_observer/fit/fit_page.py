@@ -26,6 +26,8 @@ from impact_observer.fit.recording_picture import (
     signal_picture,
 )
 from impact_observer.fit.sources_file import read_fit_sources, sources_text
+from impact_observer.identify.fit_check import rejections
+from impact_observer.identify.prior import numbers_told
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import time_zero
 from impact_observer.io.observed_bag import events_from
@@ -238,6 +240,13 @@ def _numbers(task: FitTask, fit: FittedRecording) -> Iterator[str]:
     yield from lines[:_NUMBERS]
     if len(lines) > _NUMBERS:
         yield f"{len(lines) - _NUMBERS} more numbers in fitted.yaml"
+    if (told := numbers_told(known, found.family, found.covariance / found.widened**2)) < len(
+        lines
+    ):
+        yield (
+            f"the times tell {told} of these {len(lines)} numbers, or combinations of numbers; the"
+            " rest is as given"
+        )
 
 
 def _motion(fit: FittedRecording, hits: Sequence[ImpactEstimate]) -> Iterator[str]:
@@ -260,6 +269,8 @@ def _motion(fit: FittedRecording, hits: Sequence[ImpactEstimate]) -> Iterator[st
 
 def _doubts(fit: FittedRecording) -> Iterator[str]:
     """Return what makes the numbers or the motion doubtful, the worst first."""
+    if fit.identification is not None and fit.check is not None and not fit.failure:
+        yield from rejections(fit.identification, fit.check)
     if fit.identification is not None and (cause := fit.identification.cause) is not None:
         yield (
             f"with another {cause.name}, {cause.value:.4g}, the model fits: give this number a"

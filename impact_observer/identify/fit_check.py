@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a model explains recorded impact times as well as their clock allows."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from impact_observer.identify.residuals import (
     lags_of,
     probability_of_size,
 )
+from impact_observer.identify.scatter_hypothesis import may_scatter
 from impact_observer.model.time_shift import NO_SHIFT, TimeShift
 
 if TYPE_CHECKING:
@@ -84,3 +86,23 @@ def check_fit(fitted: "Identification") -> FitCheck:
     if not fitted.converged or (found.fits and chance >= DOUBTED):
         return found
     return replace(found, shift=TimeShift.of(shifts, fitted.stamps))
+
+
+def rejections(fitted: "Identification", check: FitCheck) -> Iterator[str]:
+    """Why a ``check`` says that a fitted model does not fit, a line each; none where it fits."""
+    if check.large:
+        yield (
+            f"the shifts of {fitted.rms:.2g} s rms are too large for a clock: declare the error of"
+            " the stamps (--clock-error) where it is"
+        )
+    if check.white < REJECTED:
+        is_tried = may_scatter(fitted.recording.problem(fitted.family))
+        scatter = "was tried, and rejected" if is_tried else "needs more impacts to be tried"
+        yield (
+            "shifts of successive stamps depend on each other, which errors of a clock do not"
+            f" (chance {check.white:.1g}); a restitution that scatters from hit to hit {scatter}"
+        )
+    if check.size is not None and check.size < REJECTED:
+        yield f"the shifts exceed the error of the clock (chance {check.size:.1g})"
+    if check.missed:
+        yield f"the shifts have a part that others would explain: {', '.join(check.missed)}"

@@ -21,6 +21,9 @@ _LEAST = 1e-12
 _LITTLE = 0.9
 """Deviation after a fit over that before, from which on impacts say little of a parameter."""
 
+_TOLD = 0.5
+"""Largest deviation after a fit over that before of a combination that impacts tell."""
+
 
 class PriorShift(NamedTuple):
     """What a fit changed in a parameter that has a prior.
@@ -94,6 +97,26 @@ def prior_shifts(
         innovation = 0.0 if is_little else change / float(np.sqrt(expected))
         shifts.append(PriorShift(family.names[k], before, innovation, is_little))
     return tuple(shifts)
+
+
+def numbers_told(
+    known: ParameterUncertainty | None, family: ParametricFamily, covariance: Matrix
+) -> int:
+    """How many combinations of the parameters of a ``family`` a fit made known.
+
+    Of one that has a prior the deviation is at most half of what the prior says.
+
+    Args:
+        known: the prior.
+        family: the p free parameters.
+        covariance: of the initial state and the parameters, shape (2n + p, 2n + p).
+    """
+    which, before = prior_covariance(known, family)
+    rows = np.add(which, covariance.shape[0] - family.size)
+    if not which:
+        return family.size
+    ratios = linalg.eigvalsh(covariance[np.ix_(rows, rows)], before)
+    return family.size - len(which) + int(np.sum(ratios < _TOLD**2))
 
 
 def chance_of(shifts: tuple[PriorShift, ...]) -> float:

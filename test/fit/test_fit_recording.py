@@ -174,9 +174,24 @@ def test_a_model_that_does_not_fit_is_marked_and_everything_is_written(
     assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 1
     out = capsys.readouterr().out
     assert "does not fit" in out
+    assert "--clock-error" in out
     assert "restitution.stop" in out
     assert {path.name for path in (rig / "out").iterdir()} == FILES
     assert read_model(rig / "out" / "fitted.yaml").misfit
+
+
+def test_numbers_that_times_do_not_tell_are_counted(
+    run: Run, rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A gap and a force that both are larger by one factor make the same times."""
+    text = MODEL.replace("RESTITUTION", UNKNOWN)
+    text = text.replace("limit: 0.5", "limit: {value: 0.5, deviation: 0.05}")
+    (rig / "rig.yaml").write_text(
+        text.replace("amplitude: 4", "amplitude: {value: 4, deviation: 0.4}")
+    )
+    words = [typed_times(run, rig).name, "rig.yaml", "-o", "out", "--epoch", "1"]
+    assert main(["fit", *words]) == 0
+    assert "2 of these 3 numbers" in capsys.readouterr().out
 
 
 def test_a_known_epoch_keeps_the_phase(run: Run, rig: Path) -> None:
