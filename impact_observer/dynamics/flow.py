@@ -41,6 +41,7 @@ from impact_observer.model.live_samples import LiveSamples
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
+_ONE = np.ones(1)
 _NOTHING = 1e-15
 """Acceleration that the loads leave and that is rounding, relative to the terms of its sum."""
 _MOST_WINDOWS = 1_000_000
@@ -125,14 +126,26 @@ class Drive:
         Raises:
             DynamicsError: ``t`` lies before the first sample.
         """
-        angle = self._angles.at_stamps(np.array([t.ns]))[0]
-        angle = angle + self._angles.frequency * t.remainder
-        signs = np.zeros(0) if self._squares is None else self._squares.signs(t)
-        waves = np.concatenate([np.cos(angle), np.sin(angle), signs, [1.0]])
+        waves = _ONE
+        if self._angles.frequency.size:
+            angle = self._angles.at_stamps(np.array([t.ns]))[0]
+            angle = angle + self._angles.frequency * t.remainder
+            waves = np.concatenate([np.cos(angle), np.sin(angle), _ONE])
+        if self._squares is not None:
+            waves = np.concatenate([waves[:-1], self._squares.signs(t), _ONE])
         if self._samples is None:
             return waves
         jets = self._samples.derivatives(np.array([float(t)]))[: self._shape[0], 0]
         return np.concatenate([jets[:, self._active].ravel(), waves])
+
+    def check(self, t: Elapsed) -> None:
+        """Check that there is a sample at ``t``, if there are samples.
+
+        Raises:
+            DynamicsError: ``t`` lies before the first sample.
+        """
+        if self._samples is not None:
+            self._samples.check(float(t))
 
     def knots(self, t: Elapsed, duration: float) -> Vector:
         """Samples and switches within ``duration`` after ``t``, s since ``t``.
@@ -326,7 +339,8 @@ class PhaseMotion(Motion):
         self._flow = flow
         self._start = t if isinstance(t, Elapsed) else Elapsed(0, 0.0) + float(t)
         self._gaps = flow.gaps(x[: flow.n])
-        self._starts = [np.concatenate([x, flow.drive.at(self._start)])]
+        flow.drive.check(self._start)
+        self._starts = [np.concatenate([x, np.zeros(len(flow.drive.Y))])]
         self._ends: list[float] = []
         self._recent: dict[int, Steps] = {}
         self._changes = flow.drive.changes
