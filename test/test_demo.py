@@ -53,7 +53,7 @@ def run_demo(folder: Path, environment: dict[str, str], *arguments: str) -> Run:
 @pytest.fixture
 def demo(tmp_path: Path, ros_environment: dict[str, str]) -> Run:
     """Twenty simulated seconds, three times as fast as real."""
-    arguments = ("--duration", "20", "--realtime-factor", "3", "--rate", "50")
+    arguments = ("--duration", "20", "--realtime-factor", "3")
     return run_demo(tmp_path / "demo", ros_environment, *arguments)
 
 

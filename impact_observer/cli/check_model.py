@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import (
     add_measurements,
     add_observer_arguments,
-    positive,
 )
 from impact_observer.errors import BagError, UsageError
 from impact_observer.options import Options
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from impact_observer.observability.parameter_limit import ParameterLimit
     from impact_observer.observability.rank import Observability
 
-_OF_BAGS = ("measurements", "initial_deviation", "tolerance", "plot")
+_OF_BAGS = ("measurements", "initial_deviation", "plot")
 """Options that need a bag."""
 
 
@@ -35,8 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", metavar="BAG", nargs="?", type=Path, help="a bag with impacts of this model")
     add_measurements(parser)
     add_observer_arguments(parser, ("initial_deviation",))
-    zero = "singular value that counts as zero, over the largest (default 1e-9: stamps of 1 ns)"
-    add("--tolerance", metavar="R", type=positive, help=zero)
     picture = "write singular values over time: PNG, SVG, PDF"
     add("--plot", metavar="FILE", type=Path, help=picture)
     parser.set_defaults(outputs=("plot",))
@@ -108,7 +105,7 @@ def _observability(
     from impact_observer.io.recordings import events_in
     from impact_observer.model.measurements_file import read_measurements
     from impact_observer.observability.parameter_limit import parameter_limit
-    from impact_observer.observability.rank import TOLERANCE, observability
+    from impact_observer.observability.rank import observability
 
     system, declared = read.system, read_measurements(args.measurements)
     options = Options(initial_deviation=args.initial_deviation or Options.initial_deviation)
@@ -121,7 +118,6 @@ def _observability(
                 system,
                 events,
                 deviation=deviation_of(options.initial_deviation, system),
-                tolerance=TOLERANCE if args.tolerance is None else args.tolerance,
                 sensors=sensors_of(declared, system),
                 samples=recorded.samples,
             )

@@ -14,6 +14,8 @@ from impact_observer.plain_text import say
 
 GOAL = 1e-2
 """Largest final V/V0 of the geometric law."""
+RATE = 100.0
+"""Of true states and estimates, Hz."""
 LAWS = ("geometric", "kinematic")
 INITIAL_STATE = "random:1"
 """Of the observers, by default."""
@@ -37,9 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for each in OBSERVER_OPTIONS:
         if each.name == "initial_state":
             add_option(parser, each, default=INITIAL_STATE)
-    parser.add_argument(
-        "--rate", metavar="HZ", type=positive, default=100.0, help="states, Hz (default 100)"
-    )
     parser.add_argument(
         "-o",
         "--output",
@@ -75,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         start,
         args.duration,
         args.realtime_factor,
-        args.rate,
+        RATE,
         epoch=time.time_ns(),
     )
     with Progress() as progress:

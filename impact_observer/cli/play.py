@@ -4,16 +4,11 @@
 import argparse
 from pathlib import Path
 
-from impact_observer.cli.arguments import positive
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     # BAG comes first: behind --topics the bag would be taken for a topic.
-    parser.usage = (
-        "%(prog)s BAG [--rate R] [--start S] [--duration S] [--loop] [--topics TOPIC ...] "
-        "[--no-clock] [--delay S]"
-    )
+    parser.usage = "%(prog)s BAG [--rate R] [--loop] [--topics TOPIC ...] [--delay S]"
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     add(
@@ -23,16 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=1.0,
         help="speed relative to the recording (default: 1)",
     )
-    add("--start", metavar="S", type=float, default=0.0, help="start S seconds into the bag")
-    add("--duration", metavar="S", type=positive, help="play S seconds of the bag (default: all)")
     add("--loop", action="store_true", help="start again at the end")
     add("--topics", metavar="TOPIC", nargs="+", help="play these topics only (default: all)")
-    add(
-        "--no-clock",
-        dest="clock",
-        action="store_false",
-        help="do not publish the bag's time on /clock: another clock runs already",
-    )
     add(
         "--delay",
         metavar="S",
@@ -55,10 +42,7 @@ def run(args: argparse.Namespace) -> int:
     how = Playing(
         topics=None if args.topics is None else [*map(absolute, args.topics)],
         rate=args.rate,
-        start=args.start,
-        duration=args.duration,
         loop=args.loop,
-        clock=args.clock,
     )
     what = f"playing {args.bag.resolve().name}"
     with Progress() as progress:

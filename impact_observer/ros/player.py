@@ -3,10 +3,8 @@
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from pathlib import Path
 
 from rclpy.duration import Duration
@@ -45,24 +43,17 @@ class Playing:
     Attributes:
         topics: only these absolute names; None for all.
         rate: seconds of the bag per second of the wall clock.
-        start: where to begin, s after the bag's start.
-        duration: length of the part that is played, s; None up to the end.
         loop: whether to begin again at the end.
-        clock: whether to publish the bag's time on ``/clock``; a recorded clock is then left out.
     """
 
     topics: Collection[str] | None = None
     rate: float = 1.0
-    start: float = 0.0
-    duration: float | None = None
     loop: bool = False
-    clock: bool = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError unless rate and duration are positive numbers."""
-        for name, value in (("rate", self.rate), ("duration", self.duration)):
-            if value is not None and not 0 < value < math.inf:
-                raise UsageError(f"{name} is {value}; expected a positive number")
+        """Raise UsageError unless the rate is a positive number."""
+        if not 0 < self.rate < math.inf:
+            raise UsageError(f"rate is {self.rate}; expected a positive number")
 
 
 class Player:
@@ -84,26 +75,17 @@ class Player:
             how: None for the whole bag as recorded.
 
         Raises:
-            UsageError: ``start`` is not in the bag, the bag lacks a topic, or no topic can be
-                played.
+            UsageError: the bag lacks a topic, or no topic can be played.
         """
-        self._how = how = how or Playing()
-        whole = seconds_between(reader.start, reader.end)
-        if not 0 <= how.start <= whole:
-            raise UsageError(f"start is {how.start}; expected 0 to {whole} s, the bag's length")
+        self._how = how or Playing()
         self.count, self.elapsed = 0, 0.0
         self._node, self._reader = node, reader
-        self._start = reader.start + from_seconds(how.start)
-        length = reader.end - self._start
-        if how.duration is not None:
-            length = min(length, from_seconds(how.duration))
-        self._end, self.length = self._start + length, length / NS_PER_S
+        self._start, self._end = reader.start, reader.end
+        self.length = seconds_between(self._start, self._end)
         self._publishers = self._make_publishers()
         self.topics = tuple(self._publishers)
-        self._clock: Publisher | None = None
-        if how.clock:
-            kind, quality = message_class(SIMULATED_CLOCK.type), SIMULATED_CLOCK.quality
-            self._clock = node.create_publisher(kind, SIMULATED_CLOCK.topic, qos_profile(quality))
+        kind, quality = message_class(SIMULATED_CLOCK.type), SIMULATED_CLOCK.quality
+        self._clock = node.create_publisher(kind, SIMULATED_CLOCK.topic, qos_profile(quality))
 
     def _quality(self, topic: str) -> Quality:
         """The recorded quality of service; the usual one of a topic recorded without."""
@@ -113,7 +95,7 @@ class Player:
         """A publisher for every topic whose message type is installed."""
         recorded, publishers = self._reader.topics, {}
         for topic in recorded if self._how.topics is None else self._how.topics:
-            if self._how.clock and topic == SIMULATED_CLOCK.topic:
+            if topic == SIMULATED_CLOCK.topic:
                 continue
             if topic not in recorded:
                 there = ", ".join(recorded) or "none"
@@ -132,21 +114,6 @@ class Player:
         if not publishers:
             raise UsageError(f"{self._reader.path}: nothing to play")
         return publishers
-
-    def _latched_before_start(self) -> list[RawMessage]:
-        """Messages that latched topics hold at the start, without events.
-
-        Events before the start would not match the states of a run that starts there.
-        """
-        kept: dict[str, deque[RawMessage]] = {
-            topic: deque(maxlen=quality.depth or None)
-            for topic in self.topics
-            if (quality := self._quality(topic)).transient_local and usual_quality(topic) != EVENTS
-        }
-        messages = self._reader.raw([*kept])
-        for message in takewhile(lambda each: each.log_time < self._start, messages):
-            kept[message.topic].append(message)
-        return sorted((m for each in kept.values() for m in each), key=lambda m: m.log_time)
 
     def other_publishers(self) -> list[str]:
         """Topics to be played that another node publishes too, including the clock."""
@@ -189,20 +156,14 @@ class Player:
         Raises:
             BagError: the bag is damaged.
         """
-        latched = self._latched_before_start()
         begin = time.monotonic_ns()
         length = max(round((self._end - self._start) / self._how.rate), _SHORTEST_PASS)
-        while self._play_once(latched, begin, keep_on) and self._how.loop:
+        while self._play_once(begin, keep_on) and self._how.loop:
             begin += length
 
-    def _play_once(self, latched: list[RawMessage], begin: int, keep_on: KeepOn) -> bool:
+    def _play_once(self, begin: int, keep_on: KeepOn) -> bool:
         """Play one pass from the monotonic time ``begin`` (ns) on; whether the end was reached."""
-        for message in latched:
-            self._send(message)
-        start = self._start if self._start > self._reader.start else 0
-        for message in self._reader.raw(self.topics, start):
-            if message.log_time > self._end:
-                break
+        for message in self._reader.raw(self.topics):
             if not self._wait_until(message.log_time, begin, keep_on):
                 return False
             self._publish_clock(message.log_time)
@@ -224,8 +185,7 @@ class Player:
     def _publish_clock(self, bag_time: int) -> None:
         """Publish the bag's time, ns."""
         self.elapsed = seconds_between(self._start, bag_time)
-        if self._clock:
-            self._clock.publish(ros_messages().clock(bag_time))
+        self._clock.publish(ros_messages().clock(bag_time))
 
     def _send(self, message: RawMessage) -> None:
         """Publish a message."""
@@ -246,7 +206,7 @@ class Player:
 
     def _all(self) -> list[Publisher]:
         """The publishers of all topics, and that of the clock."""
-        return [*self._publishers.values(), *([self._clock] if self._clock else [])]
+        return [*self._publishers.values(), self._clock]
 
 
 def play(
