@@ -36,15 +36,5 @@ SENSOR_FAULTS = (
 )
 """The fields of ``plant.SensorModel`` in their order; the defaults are an ideal sensor."""
 
-SAMPLING = (
-    Option("measurement_rate", 100.0, "rate of each sensor", "Hz", 0.001, 1e5),
-    Option(
-        "measurement_noise",
-        -1.0,
-        "standard deviation of samples in their unit; -1: as declared",
-        "",
-        -1.0,
-        1e9,
-    ),
-)
+SAMPLING = (Option("measurement_rate", 100.0, "rate of each sensor", "Hz", 0.001, 1e5),)
 """How sensors beside the impacts are simulated: the fields of ``io.Sampling`` in their order."""

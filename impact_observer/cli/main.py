@@ -93,6 +93,7 @@ GONE_OPTIONS = {
     "--no-clock": "ros2 bag play where another clock runs",
     "demo --rate": "simulate and observe",
     "--tolerance": "the singular values of --json",
+    "--measurement-noise": "the deviation in the file of --measurements",
     "sweep --epoch": "an epoch of 1 s",
     "--flush": "nothing; a recorder writes to the disk every second",
     "--remap": "remappings of the nodes that listen",

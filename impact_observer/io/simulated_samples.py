@@ -43,15 +43,13 @@ _STREAM = 1923
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """Rate and noise of simulated samples; fields as in ``SAMPLING``.
+    """Rate of simulated samples; fields as in ``SAMPLING``.
 
     Attributes:
         rate: of each sensor, Hz.
-        noise: standard deviation, in the sensor's unit; negative for the declared one.
     """
 
     rate: float = 100.0
-    noise: float = -1.0
 
     @classmethod
     def from_values(cls, given: Mapping[str, float | None]) -> "Sampling":
@@ -213,11 +211,11 @@ class SampleSimulation:
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[tuple[SensorSample, int]]:
         """Samples of all sensors for a state, each with its time of reception, ns."""
-        values, given = self._measured.values(stamp - epoch, x, closed), self.sampling.noise
+        values = self._measured.values(stamp - epoch, x, closed)
         for index, (declared, true) in enumerate(zip(self._declared, values, strict=True)):
             noise = float(self._random.normal())
             self._random.random(2)  # so that a seed gives the samples of 0.3.0
-            value = true + (given if given >= 0 else declared.deviation) * noise
+            value = true + declared.deviation * noise
             yield SensorSample(index, stamp, value), stamp + from_seconds(declared.delay)
 
     def _message(self, declared: Measurement, stamp: int, value: float) -> AnyMessage:

@@ -225,7 +225,7 @@ def test_what_cannot_be_simulated_is_one_line(
     for given, error in (
         (["--measurements", str(tmp_path / "a.yaml")], "a.yaml: measurements[0].field: odd.x"),
         (["--measurements", str(tmp_path / "b.yaml")], "b.yaml: measurements[0].deviation: learn"),
-        (["--measurement-noise", "0.1"], "measurement_noise: given without --measurements"),
+        (["--measurement-rate", "0.1"], "measurement_rate: given without --measurements"),
     ):
         output = str(tmp_path / "out")
         assert main(["simulate", "two_mass", *given, "--duration", "1", "-o", output]) == 2

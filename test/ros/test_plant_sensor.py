@@ -95,7 +95,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
 def test_plant_node_publishes_what_simulated_sensors_measure(
     ros_environment: dict[str, str],
 ) -> None:
-    """The samples equal those of ``simulate`` with the same seed and noise."""
+    """The samples equal those of ``simulate`` with the same seed."""
     parameters = {
         "model": "two_mass",
         "publish_clock": True,
@@ -105,7 +105,6 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
         "seed": 3,
         "measurements": "encoder",
         "measurement_rate": 20.0,
-        "measurement_noise": 0.002,
     }
     found: dict[int, float] = {}
     with spinning() as spinner:
@@ -127,7 +126,7 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
             assert process.returncode == 0, process.communicate()
         spinner.settle()
     model, last = read_model("two_mass"), EPOCH + 2 * NS_PER_S
-    sampling = Sampling(rate=20.0, noise=0.002)
+    sampling = Sampling(rate=20.0)
     simulation = SampleSimulation(read_measurements("encoder"), model.system, sampling, 3)
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, simulation.stamps(EPOCH, last))
