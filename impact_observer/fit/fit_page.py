@@ -115,6 +115,8 @@ def fit_recording(
         check_times(read.system, events, recording)
         for text in impacts.lines:
             say(text)
+        for text in impacts.doubts:
+            say(f"doubt: {text}")
         for text in doubtful_contacts(read.system, events):
             say(f"warning: {text}")
         task = FitTask(
@@ -133,7 +135,7 @@ def fit_recording(
                 say(f"{folder / 'motion.png'}: the signal, with the peaks that are impacts")
             fit = fit_bag(task, folder / "fitted.yaml", folder / "smoothed", show=show, step=step)
             hits = _write(fit, impacts, folder)
-    return Page(fit.fits, [*_lines(task, fit, impacts, hits, folder)])
+    return Page(fit.fits, [*_lines(task, fit, hits, folder)])
 
 
 def _in_one_file(given: ModelText, model: Model) -> ModelText:
@@ -194,7 +196,6 @@ def _new_folder(folder: Path) -> Iterator[None]:
 def _lines(
     task: FitTask,
     fit: FittedRecording,
-    impacts: RecordedImpacts,
     hits: Sequence[ImpactEstimate],
     folder: Path,
 ) -> Iterator[str]:
@@ -202,7 +203,7 @@ def _lines(
     yield _verdict(task, fit, hits)
     yield from _numbers(task, fit)
     yield from _motion(fit, hits)
-    for doubt in [*_doubts(fit), *impacts.doubts][:_DOUBTS]:
+    for doubt in [*_doubts(fit)][:_DOUBTS]:
         yield f"doubt: {doubt}"
     names = ", ".join(sorted(each.name for each in folder.iterdir()))
     yield f"{folder}: {names}"

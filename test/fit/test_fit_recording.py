@@ -97,18 +97,21 @@ def bag(_run: Run, folder: Path) -> Path:
     return folder / "bag"
 
 
-def sensor_bag(run: Run, folder: Path, type_name: str) -> str:
+def sensor_bag(run: Run, folder: Path, type_name: str, *, stepping_back: bool = False) -> str:
     """A bag of a sensor that reports each hit, and once more 2 ms later; returns its name."""
     types, make = typestore().types, bag_messages()
-    rows = [(each.stamp + late, not late) for each in run.events for late in (0, 2_000_000)]
+    hits = [(each.stamp + late, not late) for each in run.events for late in (0, 2_000_000)]
+    rows = [(stamp, stamp, is_closed) for stamp, is_closed in hits]
+    if stepping_back:
+        rows.append((hits[-1][0] + 1, hits[0][0], False))
     with BagWriter(folder / "bag") as writer:
         writer.declare("/sensor", type_name=type_name, quality=Quality(reliable=False))
-        for stamp, is_closed in rows:
+        for log_time, stamp, is_closed in rows:
             if type_name.endswith("Header"):
                 message = types[type_name](stamp=make.time(stamp), frame_id="hit")
             else:
                 message = types[type_name](data=is_closed)
-            writer.write("/sensor", stamp, message)
+            writer.write("/sensor", log_time, message)
     return "bag"
 
 
@@ -216,6 +219,20 @@ def test_the_signal_is_shown_before_the_fit_begins(run: Run, rig: Path) -> None:
             oscilloscope(run, rig), "rig.yaml", Path("out"), say=said.append, show=interrupt
         )
     assert not Path("out").exists()
+
+
+def test_doubts_of_a_recording_are_said_before_the_fit_begins(run: Run, rig: Path) -> None:
+    """A message stamped before an earlier one is left out."""
+    said = list[str]()
+
+    def interrupt(what: str) -> None:
+        if what.startswith("rig: "):
+            raise KeyboardInterrupt
+
+    recording = rig / sensor_bag(run, rig, "std_msgs/msg/Header", stepping_back=True)
+    with pytest.raises(KeyboardInterrupt):
+        fit_recording(recording, "rig.yaml", Path("out"), say=said.append, show=interrupt)
+    assert any(each.startswith("doubt: ") and "/sensor" in each for each in said)
 
 
 def test_impacts_before_the_trigger_of_an_oscilloscope_count(run: Run, rig: Path) -> None:
