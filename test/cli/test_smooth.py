@@ -245,7 +245,7 @@ def test_a_wrong_sign_of_a_sensor_is_named_beside_the_counts_of_its_samples(
             options = ["--measurements", sensor, "--clock-error", "0.0005", "--rate", "10"]
             assert main([*command.split(), str(bag), *options, "-o", str(output)]) == 0
             said = capsys.readouterr().out
-            assert re.search(r"^encoder: 3\d\d samples: \d+ accepted", said, re.MULTILINE)
+            assert re.search(r"^encoder: 3\d\d samples: ", said, re.MULTILINE)
             assert ("warning: encoder contradicts the impacts and the model" in said) is is_wrong
 
 
