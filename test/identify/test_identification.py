@@ -280,18 +280,6 @@ def test_a_model_that_drifts_does_not_carry_over() -> None:
     assert short.held_back is None
 
 
-@pytest.mark.long
-def test_a_declared_clock_error_that_is_too_small_rejects_much() -> None:
-    """The fit of all impacts is kept; its shifts say what the clock is."""
-    model = sample("two_mass").system
-    events = sensed("two_mass", 1, jitter=1e-3)
-    found = identify(parametric_family(wrong(model), FREE), events, clock=1e-6)
-    assert found.converged
-    assert found.doubted >= len(events) / 4
-    assert found.accepted == pytest.approx(1e-3, rel=0.5)
-    assert np.all(np.abs(found.values - truth(found, model)) < 3 * found.errors)
-
-
 @pytest.mark.slow
 def test_check_rejects_a_wrong_model_and_accepts_the_right_one() -> None:
     """By the declared clock error, or by correlated shifts of successive impacts."""
