@@ -58,7 +58,7 @@ def drop(clicks: tuple[float, ...], clock: float = 1e-4) -> Drop:
     ]
     model = parse_model(MODEL, "ball")
     family = parametric_family(model.system, ("restitution",), model.elements)
-    found = identify(family, events, clock=clock, trust_events=True, held_back=0.0)
+    found = identify(family, events, clock=clock, trust_events=True)
     q, u = found.start.tolist()
     height = q + u**2 / (2 * GRAVITY)  # where it was at rest, before the first click
     slope = np.array([1.0, u / GRAVITY, 0.0])

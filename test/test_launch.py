@@ -281,7 +281,7 @@ def test_demo_launch_has_the_defaults_of_the_demo_command(
     nodes = {node.name: node for node in launcher.run("demo")}
     plant, observer = nodes["plant"].parameters, nodes["observer_geometric"].parameters
     assert f"a sample ({plant['model']})" in text
-    for name in ("duration", "realtime_factor", "rate"):
+    for name in ("duration", "realtime_factor"):
         assert f"(default {plant[name]:g})" in text, name
     assert f"(default {observer['initial_state']})" in text
 

@@ -46,6 +46,8 @@ _NOTHING = 1e-15
 """Acceleration that the loads leave and that is rounding, relative to the terms of its sum."""
 _MOST_WINDOWS = 1_000_000
 """Windows of one motion that count as endless."""
+_FAR = 10_000
+"""Windows after which a state is not computed window by window."""
 _RECENT = 4
 """Windows whose steps are kept; the others are computed anew when they are asked for."""
 
@@ -158,6 +160,11 @@ class Drive:
         if self._squares is None:
             return knots
         return np.union1d(knots, self._squares.switches(t, duration, STEPS))
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the forces have no samples and no switches."""
+        return self._samples is None and self._squares is None
 
     def final_until(self, t: Elapsed) -> float:
         """Time after ``t`` until which the samples are known for good, s; mostly infinity."""
@@ -413,6 +420,10 @@ class PhaseMotion(Motion):
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """States (q, u) at ``s`` seconds after the start, shape (samples,): (samples, 2n)."""
         last = float(np.max(s, initial=0.0))
+        if last > self._far:
+            return np.array(
+                [self._far_state(at) if at > self._far else self.state(at) for at in s]
+            )
         self.window(0)
         while self._ends[-1] <= last:
             self.window(len(self._ends))
@@ -424,6 +435,19 @@ class PhaseMotion(Motion):
             mine = which == k
             found[mine] = self._states_in(k, s[mine])
         return found
+
+    @cached_property
+    def _far(self) -> float:
+        """Time after which states are computed by one exponential, if there are no samples, s."""
+        exponential = self._flow.exponential
+        return (
+            _FAR * exponential.steps * exponential.step if self._flow.drive.is_smooth else np.inf
+        )
+
+    def _far_state(self, s: float) -> Vector:
+        """The state (q, u), shape (2n,), after a long time."""
+        z = self._flow.exponential.matrix(s) @ self.window(0).z[0]
+        return self._flow.polynomials_of(z[None])[0, :, 0]
 
     def _states_in(self, number: int, s: Vector) -> Matrix:
         """States (q, u) at ``s`` seconds after the start, all in one window."""

@@ -42,7 +42,8 @@ class FitTask:
     """What is to be fitted.
 
     Attributes:
-        bag: with the impacts.
+        recording: what the user gave.
+        bag: with the impacts of the recording.
         text: of the model file.
         model: the model.
         knows_epoch: whether the user or the recording says the epoch; else phases are free.
@@ -52,6 +53,7 @@ class FitTask:
         resolution: of printed times, or the time between samples, s; 0 if unknown.
     """
 
+    recording: Path
     bag: Path
     text: ModelText
     model: Model
@@ -162,9 +164,9 @@ def fit_bag(
             identification, failure = _identified(task, events, task.resolution, show)
         check = None if identification is None else check_fit(identification)
         if identification is None or failure:
-            text = _unexplained(task.text, task.bag)
+            text = _unexplained(task.text, task.recording)
         else:
-            text = fit_report.model_text(identification, task.text, task.bag, output)
+            text = fit_report.model_text(identification, task.text, task.recording, output)
         output.write_text(text, encoding="utf-8")
         model = parse_model(text, str(output))
         model = _smoothed_model(task, model, identification)
@@ -204,13 +206,13 @@ def _identified(
     return found, fit_report.why_useless(found)
 
 
-def _unexplained(text: ModelText, bag: Path) -> str:
-    """Return the text of a model with the mark that no motion explains the impacts of a bag."""
+def _unexplained(text: ModelText, recording: Path) -> str:
+    """Return the text of a model with the mark that no motion explains a recording's impacts."""
     provenance: dict[str, object] = {
         FITS: False,
         "package": "impact_observer",
         "version": __version__,
-        "identified_from": str(bag),
+        "identified_from": str(recording),
     }
     if before := parse_model(text.text, text.source, text.folder).provenance:
         provenance["before"] = before

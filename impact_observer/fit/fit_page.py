@@ -120,6 +120,7 @@ def fit_recording(
         for text in doubtful_contacts(read.system, events):
             say(f"warning: {text}")
         task = FitTask(
+            recording=recording,
             bag=impacts.bag,
             text=_in_one_file(given, read),
             model=read,

@@ -215,3 +215,13 @@ def test_difference_of_two_motions_goes_on_by_the_transition(data: st.DataObject
     expected = linalg.expm(s * state_matrix(model))
     scale = np.max(np.abs(expected)) * (1 + np.max(np.abs(model.K)))
     np.testing.assert_allclose(flow.transition(s), expected, atol=1e-11 * scale)
+
+
+def test_a_state_of_a_day_later_needs_no_windows() -> None:
+    """``x'' + 0.01 x' + 25 x = 5`` comes to rest at 0.2; undamped it turns on by its frequency."""
+    later = np.array([0.3, 86_400.0])
+    damped = system(1, 0.01, 25, force=forcing(1, 5.0))
+    states = flow_of(damped).start(0.0, np.array([1.0, 2.0])).states(later)
+    np.testing.assert_allclose(states[1], [0.2, 0.0], rtol=0, atol=1e-12)
+    free = flow_of(system(1, 0, 25)).start(0.0, np.array([1.0, 0.0])).state(86_400.0)
+    np.testing.assert_allclose(free, [np.cos(432_000), -5 * np.sin(432_000)], rtol=0, atol=1e-6)
