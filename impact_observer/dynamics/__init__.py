@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact motion between events, the law at an impact, and where a phase of motion ends.
 
-``flow`` moves a state through one linear phase, ``contact`` closes and opens contacts, ``watched``
-says what ends a phase.
+``flow`` moves a state through one linear phase by the ``exponential`` of its matrix, ``phase`` has
+the phases of a system, ``contact`` closes and opens contacts, ``watched`` says what ends a phase,
+and ``roots`` finds when.
 """
 
 from impact_observer.dynamics.contact.clutch import Clutches, Piecewise

@@ -98,9 +98,8 @@ class Drive:
         first = orders * d
         e = first + 2 * h + len(pushes) + 1
         self.Y, self.F = np.zeros((e, e)), np.zeros((n, e))
-        if orders:
-            self.F[self._active, np.arange(d)] = 1.0
-            self.Y[: first - d, d:first] += np.eye(first - d)
+        self.F[self._active, np.arange(d)] = 1.0
+        self.Y[: first - d, d:first] += np.eye(first - d)
         rows = first + np.arange(h)
         self.Y[rows, rows + h], self.Y[rows + h, rows] = -forcing.frequency, forcing.frequency
         self.F[:, first : first + h] = forcing.cosine.T
@@ -118,7 +117,7 @@ class Drive:
         """
         rows = np.zeros((len(waves), len(self.Y)))
         orders, d = self._shape
-        rows[:, : d * bool(orders)] = force[:, self._active[: d * bool(orders)]]
+        rows[:, :d] = force[:, self._active]
         rows[:, orders * d : -1], rows[:, -1] = waves[:, 1:], waves[:, 0]
         return rows
 
@@ -277,18 +276,15 @@ class Flow:
         """
         return PhaseMotion(self, t, x)
 
-    def guards(
-        self, rows: Matrix, waves: Matrix, force: Matrix, names: tuple[object, ...]
-    ) -> Guards:
+    def guards(self, rows: Matrix, waves: Matrix, force: Matrix) -> Guards:
         """Functions ``rows (p, u) + waves (1, cos, sin, squares) + force f_sampled`` of motions.
 
         Args:
             rows: shape (w, 2n).
             waves: factors of 1 and of the waves of the forcing, shape (w, 1 + 2h + s).
             force: factors of the sampled forces, shape (w, n).
-            names: one of each function.
         """
-        return Guards(self.exponential, np.hstack([rows, self.drive.row(waves, force)]), names)
+        return Guards(self.exponential, np.hstack([rows, self.drive.row(waves, force)]))
 
     def transition(self, s: float) -> Matrix:
         """Propagate the difference of two motions by ``s`` seconds, which may be negative.
@@ -304,16 +300,13 @@ class Flow:
             moved[:n] = self._Q @ moved[:n]
         return moved
 
-    def restored(self, z: Vector, gaps: Vector | None) -> Vector:
-        """``z`` with the held contacts at rest and ``W^T p = gaps``; shape (N,)."""
-        if self._held is None:
-            return z
+    def restore(self, z: Vector, gaps: Vector | None) -> None:
+        """Bring the held contacts in ``z``, shape (N,), to rest at ``W^T p = gaps``."""
+        if self._held is None or gaps is None:
+            return
         n = self.n
-        z = z.copy()
         z[n : 2 * n] -= self._lift @ (self._held.T @ z[n : 2 * n])
-        if gaps is not None:
-            z[:n] += self._lift @ (gaps - self._held.T @ z[:n])
-        return z
+        z[:n] += self._lift @ (gaps - self._held.T @ z[:n])
 
     def gaps(self, p: Vector) -> Vector | None:
         """``W^T p`` of the held contacts; None without any."""
@@ -396,7 +389,7 @@ class PhaseMotion(Motion):
         now = self._start + start
         z = self._starts[number].copy()
         z[2 * flow.n :] = drive.at(now)
-        z = flow.restored(z, self._gaps)
+        flow.restore(z, self._gaps)
         knots = drive.knots(now, count * step)
         if not knots.size:
             moved = flow.stepped(z)

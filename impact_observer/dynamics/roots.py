@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from impact_observer.dynamics.exponential import TERMS, Exponential, polynomials
 from impact_observer.states import Matrix, Vector
 
-DEPTH = 1e-14
+_GRAZE = 1e-14
 """Depth below zero that counts as none, relative to the terms of a function, for each window that
 the motion has lasted."""
-ZERO = 1e-12
+_ZERO = 1e-12
 """Value of a function that counts as zero at a start or a crossing, relative to the same."""
 _NARROW = 2.0**-50
 """Least width of an interval that is halved, in steps."""
@@ -63,15 +63,11 @@ class Stepped(Protocol):
 
 
 class Guards:
-    """Linear functions ``R z`` of the states of one flow.
+    """Linear functions ``R z`` of the states of one flow."""
 
-    Attributes:
-        names: of the functions, such as a kind and the index of a contact.
-    """
-
-    def __init__(self, exponential: Exponential, R: Matrix, names: tuple[object, ...]) -> None:
+    def __init__(self, exponential: Exponential, R: Matrix) -> None:
         """Prepare the Taylor coefficients of the functions; ``R`` has shape (w, N)."""
-        self.names = names
+        self._count = len(R)
         self._step = exponential.step
         rows = exponential.rows(R)
         self._rows = rows.reshape(-1, R.shape[1])
@@ -92,7 +88,7 @@ class Guards:
             s since the start of the motion, and the indices of all functions that are zero there;
             None without a root in the window.
         """
-        w, count = len(self.names), steps.start.size
+        w, count = self._count, steps.start.size
         if not w:
             return None
         c = self._rows.dot(steps.z.T).reshape(TERMS, w * count)
@@ -105,7 +101,7 @@ class Guards:
             return None
         c, lowest = c.reshape(TERMS, w, count), lowest.reshape(w, count)
         scale = self._scale @ np.abs(steps.z).max(axis=0)
-        depths = DEPTH * scale * (1 + float(steps.start[0]) / (steps.end - float(steps.start[0])))
+        depths = _GRAZE * scale * (1 + float(steps.start[0]) / (steps.end - float(steps.start[0])))
         doubtful = lowest < -depths[:, None]
         first = int(np.searchsorted(steps.start, since, side="right")) - 1
         doubtful[:, : max(first, 0)] = False
@@ -116,20 +112,20 @@ class Guards:
             x = np.inf
             for i in np.flatnonzero(doubtful[:, j]).tolist():
                 g, depth = c[:, i, j].tolist(), float(depths[i])
-                if zero is not None and abs(g[0]) <= ZERO * scale[i]:
+                if zero is not None and abs(g[0]) <= _ZERO * scale[i]:
                     g, depth = _without_zeros(g, zero[:, i].tolist()), 0.0
                 found = first_below(g, depth, low)
                 x = x if found is None else min(x, found)
             if x <= 1.0:
                 values = polynomials(c[:, :, j : j + 1], np.array([x]))[:, 0]
-                which = values <= np.maximum(ZERO * scale, np.min(values))
+                which = values <= np.maximum(_ZERO * scale, np.min(values))
                 return start + x * length, tuple(np.flatnonzero(which).tolist())
         return None
 
     def _zero(self, steps: Steps) -> NDArray[np.float64]:
         """Coefficients that are rounding at the start of the first step, shape (TERMS, w)."""
         relative = (steps.length[0] / self._step) ** _ORDERS
-        return np.asarray(ZERO * (self._sizes @ np.abs(steps.z[0])) * relative[:, None])
+        return np.asarray(_ZERO * (self._sizes @ np.abs(steps.z[0])) * relative[:, None])
 
 
 class RootSearch:

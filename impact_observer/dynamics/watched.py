@@ -129,7 +129,7 @@ class Watched:
         waves = forces @ self.force.T
         waves[0] += self.constant
         rows = np.hstack([self.position, self.velocity])
-        return Watch(phase.flow.guards(rows, waves.T, self.force, self.ends), self.ends)
+        return Watch(phase.flow.guards(rows, waves.T, self.force), self.ends)
 
 
 def _each(end: End, which: Iterable[int]) -> tuple[tuple[End, int], ...]:

@@ -47,10 +47,10 @@ class Plant:
         closed: indices of the contacts that are closed in the present phase.
     """
 
-    _crossing: tuple[float, tuple[int, ...]] | None
     _watch: Watch
+    _motion: PhaseMotion
+    _search: RootSearch
     _next: Switching | None
-    _moving: PhaseMotion | None
 
     def __init__(
         self,
@@ -104,15 +104,14 @@ class Plant:
             ImpactLawError: contacts are closed there and their impact has no solution.
         """
         system, start, (q, u) = self.system, Instant(stamp), np.split(x, 2)
-        grip = persistent_contacts(self._phases, (), self._time(start), x, ())
-        self._begin(start, x, grip)
+        self._begin(start, x, Grip((), ()))
         if touching := system.closed_at(q):
             switching = self._impact(start, x, touching)
             closing = np.any(system.contact_speed(u)[list(touching)] < 0)
             if closing or switching.closed:
                 self._next = switching
             else:  # the contacts separate; only rounding in the gaps is removed
-                self._begin(start, switching.after, grip)
+                self._begin(start, switching.after, Grip((), ()))
 
     def next_switching(self, limit: int) -> Switching | None:
         """The next switching of the contacts, if its stamp is not after ``limit`` (ns).
@@ -125,7 +124,7 @@ class Plant:
         """
         limit = min(limit, self.known_until)
         if self._next is None:
-            self._next = self._soon(limit)
+            self._next = self._end(limit)
         coming = self._next
         return coming if coming is not None and coming.instant.stamp <= limit else None
 
@@ -140,12 +139,6 @@ class Plant:
         self._live.follow(self.epoch)
         self._live.forget_before(self._start.stamp)
         return self._live.known_until - 1
-
-    def _soon(self, limit: int) -> Switching | None:
-        """The next switching, if it is computed or its stamp is not after ``limit`` (ns)."""
-        if self._crossing is None:
-            self._crossing = self._search.first(self._start.until(limit) + 0.5e-9)
-        return self._end(limit)
 
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
@@ -170,17 +163,9 @@ class Plant:
         self._phase = self._phases.phase(grip.held)
         self._watch = self._watch_of(self._phase, opened)
         self._state = x
-        self._moving = None
+        self._motion = self._phase.start(self._time(instant), x)
         self._search = RootSearch(self._watch.guards, self._motion)
-        self._crossing = None
         self._next = None
-
-    @property
-    def _motion(self) -> PhaseMotion:
-        """The motion of the present phase."""
-        if self._moving is None:
-            self._moving = self._phase.start(self._time(self._start), self._state)
-        return self._moving
 
     def _time(self, instant: Instant) -> Elapsed:
         return Elapsed(instant.stamp - self.epoch, instant.remainder)
@@ -190,15 +175,12 @@ class Plant:
         return Watched.gaps(self.system, opened).and_also(Watched.loads(phase)).along(phase)
 
     def _end(self, limit: int) -> Switching | None:
-        """The end of the phase, if it is computed and its stamp is not after ``limit`` (ns)."""
-        if self._crossing is None or self._start.shifted_by(self._crossing[0]).stamp > limit:
+        """The end of the phase, if its stamp is not after ``limit`` (ns)."""
+        crossing = self._search.first(self._start.until(limit) + 0.5e-9)
+        if crossing is None or (instant := self._start.shifted_by(crossing[0])).stamp > limit:
             return None
-        s, which = self._crossing
-        instant, x, crossed = (
-            self._start.shifted_by(s),
-            self._motion.state(s),
-            self._watch.crossed(which),
-        )
+        s, which = crossing
+        x, crossed = self._motion.state(s), self._watch.crossed(which)
         self._check_progress(s, instant)
         if hit := self._hit(x, crossed):
             return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
