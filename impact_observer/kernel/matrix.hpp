@@ -115,16 +115,6 @@ struct Matrix {
     operator MatrixView() const { return {data.data(), rows, columns}; }
 };
 
-// Polynomials and their derivatives of orders 0, 1, .. at one place, a row each: their values s
-// later, by Taylor's series.
-inline void taylor(const MatrixView& derivatives, double s, double* values) {
-    const std::size_t last = derivatives.rows - 1, n = derivatives.columns;
-    std::copy_n(derivatives.row(last).data, n, values);
-    for (std::size_t k = last; k-- > 0;)
-        for (std::size_t i = 0; i < n; ++i)
-            values[i] = derivatives(k, i) + s / double(k + 1) * values[i];
-}
-
 // Copies A into `to`, so that its first entry lies at (i, j).
 inline void put(const MatrixView& A, Matrix& to, std::size_t i, std::size_t j) {
     for (std::size_t k = 0; k < A.rows; ++k)
