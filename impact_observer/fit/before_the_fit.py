@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_observer.check.model_check import check_model
+from impact_observer.check.model_check import ModelCheck
 from impact_observer.check.model_report import for_json
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.fit.detection_choice import impacts_from_rest
 from impact_observer.io.table_times import UNITS
-from impact_observer.model import Model, System
+from impact_observer.model import System
 from impact_observer.stamps import NS_PER_S, seconds_between
 
 _RATIO = 5.0
@@ -22,22 +22,22 @@ _PERIODS = 90.0
 """Usual time between two impacts, in slowest periods of the model, beyond which no fit begins."""
 
 
-def model_warnings(model: Model) -> Iterator[str]:
+def model_warnings(checked: ModelCheck) -> Iterator[str]:
     """Return the warnings of ``check-model``, a line each."""
-    for finding in for_json(check_model(model))["findings"]:
+    for finding in for_json(checked)["findings"]:
         if finding["kind"] == "warning":
             yield str(finding["text"])
 
 
-def check_times(system: System, events: Sequence[ImpactEvent], recording: Path) -> None:
+def check_times(checked: ModelCheck, events: Sequence[ImpactEvent], recording: Path) -> None:
     """Check that impacts follow each other as fast as the model moves.
 
     Raises:
         UsageError: the usual time between two impacts is far beyond the periods of the model, as
             where times are in ms; a fit would take long and be wrong.
     """
-    stamps = np.unique([each.stamp for each in events])
-    frequencies = np.append(check_model(system).undamped, system.forcing.frequency)
+    system, stamps = checked.system, np.unique([each.stamp for each in events])
+    frequencies = np.append(checked.undamped, system.forcing.frequency)
     if stamps.size < 2 or not np.any(frequencies > 0):
         return
     usual = float(np.median(np.diff(stamps))) / NS_PER_S

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impact_observer.check.model_check import check_model
 from impact_observer.compare.bag_export import impact_rows
 from impact_observer.compare.table_files import write_table
 from impact_observer.draw.pictures import save
@@ -107,12 +108,13 @@ def fit_recording(
     declared = read_fit_sources(sources)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
         known = Task(recording, read, declared.sources, declared.form, zero, epoch)
-        for text in model_warnings(read):
+        checked = check_model(read)
+        for text in model_warnings(checked):
             say(f"warning: {text}")
         impacts = read_recording(known, Path(place) / "impacts", show)
         with BagReader(impacts.bag) as reader:
             events = events_from(reader, impacts.epoch)
-        check_times(read.system, events, recording)
+        check_times(checked, events, recording)
         for text in impacts.lines:
             say(text)
         for text in impacts.doubts:

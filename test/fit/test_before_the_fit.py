@@ -5,7 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from two_masses import MODEL
 
+from impact_observer.check.model_check import check_model
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.fit.before_the_fit import check_times, doubtful_contacts, model_warnings
@@ -15,15 +17,7 @@ from impact_observer.stamps import grid
 
 EPOCH = 10**9
 RECORDING = Path("hits.txt")
-RIG = """\
-name: rig
-bodies: [{name: x1, mass: 1}, {name: x2, mass: 1}]
-springs:
-  - {between: [ground, x1], stiffness: 10, damping: 0.1}
-  - {between: [x1, x2], stiffness: 10, damping: 0.1}
-forces: [{body: x2, amplitude: 4, frequency: 2.5}]
-stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: 0.7}]
-"""
+RIG = MODEL.replace("RESTITUTION", "0.7")
 
 
 @pytest.fixture(scope="module")
@@ -55,15 +49,16 @@ def test_a_contact_that_the_model_reaches_far_too_often_is_named(
 
 def test_times_in_another_unit_are_refused(events: list[ImpactEvent]) -> None:
     """Milliseconds that are taken for seconds: the option that reads them is named."""
-    system = read_model("two_mass").system
-    check_times(system, events, RECORDING)
+    checked = check_model(read_model("two_mass"))
+    check_times(checked, events, RECORDING)
     late = [replace(each, stamp=1000 * each.stamp) for each in events]
     with pytest.raises(UsageError, match="--time-unit ms"):
-        check_times(system, late, RECORDING)
+        check_times(checked, late, RECORDING)
 
 
 def test_warnings_of_the_model_are_those_of_its_check() -> None:
     """A body that no impact moves; none of a model that is right."""
-    assert not [*model_warnings(read_model("two_mass"))]
+    assert not [*model_warnings(check_model(read_model("two_mass")))]
     alone = RIG.replace("{name: x2, mass: 1}]", "{name: x2, mass: 1}, {name: x3, mass: 1}]")
-    assert any("x3" in line for line in model_warnings(parse_model(alone, "rig.yaml")))
+    checked = check_model(parse_model(alone, "rig.yaml"))
+    assert any("x3" in line for line in model_warnings(checked))

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.io import wavfile
+from two_masses import MODEL
 
 from impact_observer.cli.main import main
 from impact_observer.fit.fit_page import fit_recording
@@ -25,15 +26,6 @@ from impact_observer.stamps import grid
 EPOCH = 10**9
 SECONDS = 25.0
 FILES = {"fitted.yaml", "impacts.csv", "motion.png", "smoothed"}
-MODEL = """\
-name: rig
-bodies: [{name: x1, mass: 1}, {name: x2, mass: 1}]
-springs:
-  - {between: [ground, x1], stiffness: 10, damping: 0.1}
-  - {between: [x1, x2], stiffness: 10, damping: 0.1}
-forces: [{body: x2, amplitude: 4, frequency: 2.5}]
-stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: RESTITUTION}]
-"""
 UNKNOWN = "{value: 0.6, deviation: 0.1}"
 
 
