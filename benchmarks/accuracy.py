@@ -23,7 +23,7 @@ TROUBLES: dict[str, tuple[str, ...]] = {
     "20 % missed, 20 % spurious": ("--missed", "0.2", "--spurious", "0.15"),
     "10 ms late": ("--delay", "0.01", "--clock-offset-error", "0.02"),
 }
-"""Faults of the sensor, and what the observer is told of them; 0.15 spurious ones a second."""
+"""Faults of the sensor, and those that the observer declares; 0.15 false positives a second."""
 
 
 def swept(checkout: Checkout, folder: Path, model: str, *words: str) -> pd.DataFrame:

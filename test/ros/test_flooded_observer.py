@@ -31,7 +31,7 @@ def test_estimates_go_on_while_a_flood_of_events_is_worked_on(
 ) -> None:
     """The longest silence is half a second; diagnostics say how many events were dropped."""
     arguments = ros_arguments({"model": "two_mass", "law": "geometric"})
-    heard: list[float] = []
+    received: list[float] = []
     told: dict[str, str] = {}
 
     def note(message: DiagnosticArray) -> None:
@@ -44,7 +44,7 @@ def test_estimates_go_on_while_a_flood_of_events_is_worked_on(
         probe.create_subscription(
             JointState,
             "observer/joint_states",
-            lambda _: heard.append(time.monotonic()),
+            lambda _: received.append(time.monotonic()),
             qos_profile(STATES),
         )
         probe.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
@@ -52,7 +52,7 @@ def test_estimates_go_on_while_a_flood_of_events_is_worked_on(
         epoch = time.time_ns()
         switches = (Switch("stop"),)
         impacts.publish(ros_messages().event(ImpactEvent(epoch, switches, 1, epoch=epoch)))
-        spinner.until(lambda: len(heard) > 10)
+        spinner.until(lambda: len(received) > 10)
         begin = time.monotonic()
         for k in range(COUNT):
             event = ImpactEvent(time.time_ns(), switches, k + 2, epoch=epoch)
@@ -62,7 +62,7 @@ def test_estimates_go_on_while_a_flood_of_events_is_worked_on(
         spinner.until(lambda: time.monotonic() > begin + SECONDS + 5.0)
         assert process.poll() is None
         spinner.until(lambda: told.get("waiting") == "0")
-    silences = [b - a for a, b in pairwise([each for each in heard if each > begin - 0.1])]
+    silences = [b - a for a, b in pairwise([each for each in received if each > begin - 0.1])]
     assert max(silences) < MOST_SILENCE
     assert int(told["events applied"]) > 100
     assert int(told["dropped"]) >= 0
