@@ -34,6 +34,7 @@ class Exponential:
 
     Attributes:
         A: shape (N, N), 1/s.
+        rate: bound of the magnitudes of the eigenvalues of ``A``, rad/s.
         step: length of a step, s.
         steps: number of steps of a window.
         between: ``matrix``, remembered for the times of steps between samples.
@@ -47,7 +48,7 @@ class Exponential:
             A: shape (N, N).
             rate: bound of the magnitudes of the eigenvalues of ``A``, rad/s.
         """
-        self.A = frozen(A)
+        self.A, self.rate = frozen(A), rate
         self.step = _short(STEP / rate) if rate > 0 else _STILL
         self.steps = min(max(_NUMBERS // A.size, 4), STEPS)
         terms = [np.eye(len(A))]
@@ -81,6 +82,21 @@ class Exponential:
         steps, rest = divmod(s / self.step, 1.0)
         within = np.tensordot(rest ** np.arange(TERMS), self.terms, axes=1)
         return np.asarray(within @ np.linalg.matrix_power(self.whole, int(steps)))
+
+    def matrices(self, s: Vector) -> NDArray[np.float64]:
+        """``exp(A s)`` at many times of any sign, shape (K,), s: shape (K, N, N)."""
+        turns = np.trunc(s / self.step)
+        within = np.vander(s / self.step - turns, TERMS, increasing=True)
+        found = np.asarray(np.tensordot(within, self.terms, axes=1))
+        for sign in (1, -1):
+            left = np.maximum(sign * turns, 0).astype(np.int64)
+            power = self.whole if sign > 0 or not left.any() else np.linalg.inv(self.whole)
+            while left.any():
+                odd = left % 2 == 1
+                found[odd] = found[odd] @ power
+                left //= 2
+                power = power @ power
+        return found
 
 
 def _short(number: float) -> float:
