@@ -29,6 +29,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (
         Room("plant", "event-driven plant, sensor and its faults"),
         Room("filter", "Kalman filter of impact times, saltation, hypotheses", ""),
+        Room("bank", "the same on arrays, which is to replace it"),
     ),
     (
         Room("observer", "observer, timeline with roll-back, verdicts, the laws"),

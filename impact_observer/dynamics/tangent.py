@@ -280,7 +280,8 @@ class Tangent:
         Phi, drift = np.empty((K, d, d)), np.empty((K, d))
         phi_slopes, drift_slopes = np.zeros((K, p, d, d)), np.zeros((K, p, d))
         t, s = (np.array([float(each[k]) for each in parts]) for k in (1, 2))
-        y = np.array([flow.drive.at(each) for _, each, _ in parts]).reshape(K, size - d)
+        driven_at = {each: flow.drive.at(each) for each in {each for _, each, _ in parts}}
+        y = np.array([driven_at[each] for _, each, _ in parts]).reshape(K, size - d)
         often = max(_AT_ONCE // exponential.A.size, 1)
         for some in (slice(k, k + often) for k in range(0, K, often)):
             E, driven = exponential.matrices(s[some]), y[some, :, None]
@@ -362,7 +363,7 @@ class Tangent:
 def _each(function: Callable[[float], object], values: Array) -> Array:
     """Return a function of one number at all ``values``; further axes are those of the results."""
     found = np.array([function(each) for each in values.ravel().tolist()])
-    return found.reshape(*values.shape, *found.shape[1:])
+    return found.reshape((*values.shape, *found.shape[1:]))
 
 
 def _elapsed(t: float) -> Elapsed:

@@ -10,6 +10,7 @@ from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
+from impact_observer.bank.bank import Bank
 from impact_observer.events import Contacts
 from impact_observer.filter.branching import Extent
 from impact_observer.filter.clock_steps import SensorClock
@@ -150,6 +151,7 @@ class Belief(NamedTuple):
         misfit: the warning that the model does not explain the impacts; empty without misfit.
         onset: the state before an impact that has an uncertain instant; the other states are those
             after the jump.
+        bank: the hypotheses of a law that has them as arrays; ``behind`` this belief.
         unmeasured: how long ago each coordinate was measured, shape (n,), s, infinite before the
             first time; None for a law that does not use it.
     """
@@ -171,6 +173,7 @@ class Belief(NamedTuple):
     misfit: str = ""
     onset: Onset | None = None
     unmeasured: Vector | None = None
+    bank: Bank | None = None
 
     @property
     def x(self) -> Vector:

@@ -296,7 +296,7 @@ class RunHistory:
 
     def estimate(self, stamp: int) -> Estimate:
         """See ``Observer.estimate``."""
-        law, test, entry = self.update.law, self.update.test, self._entry(stamp)
+        law, entry = self.update.law, self._entry(stamp)
         belief, prediction = entry.belief, self.update.prediction(entry)
         n, s = self._system.n, seconds_between(entry.since, stamp)
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
@@ -320,7 +320,7 @@ class RunHistory:
             synchronized=law.uses_events
             and not silence
             and belief.fit.is_established
-            and test.is_synchronized(entry.synchronization, self._tested(entry, s, root)),
+            and self._is_synchronized(entry, s, root),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
             misfit=belief.misfit or silence,
@@ -329,6 +329,14 @@ class RunHistory:
             last_sequence=entry.last[1],
             last_event=entry.last[0],
         )
+
+    def _is_synchronized(self, entry: Entry, s: float, root: Matrix | None) -> bool:
+        """Whether an estimate is, ``s`` seconds after an entry, that has a ``root`` if any."""
+        doubt = None if root is None else self.update.law.doubt(entry.belief, root)
+        if doubt is not None:
+            return not doubt
+        tested = self._tested(entry, s, root)
+        return self.update.test.is_synchronized(entry.synchronization, tested)
 
     def variance_parts(self, stamp: int) -> list[VariancePart]:
         """The parts of the variances at ``stamp`` (ns); none for a law without hypotheses."""
@@ -364,6 +372,9 @@ class RunHistory:
         if law.has_covariance:
             after = max(seconds_between(entry.since, stamp), 0.0)
             prediction = self.update.prediction(entry)
+            own = prediction.root(after)
+            if own is not None and (doubt := law.doubt(entry.belief, own)) is not None:
+                return doubt
             root = self._tested(entry, after, prediction.root(after))
             if prediction.silence(after):
                 return "predicted impacts are not reported"

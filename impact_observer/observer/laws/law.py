@@ -148,6 +148,15 @@ class Law(ABC):
         del readings, posterior, since, s
         return None
 
+    def doubt(self, belief: Belief, root: Matrix) -> str | None:
+        """Why an estimate is not synchronized; empty if it is.
+
+        By default None: the agreement of replicas decides. ``root`` is that of the covariance,
+        shape (2n, 2n), some time after the ``belief``.
+        """
+        del belief, root
+        return None
+
     @abstractmethod
     def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
         """The prediction from ``t`` (s since the epoch) on, ``closed`` having ``chi = 1``."""
