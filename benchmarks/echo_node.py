@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 from impact_observer.io.interfaces import EVENTS, STATES
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile
 from impact_observer.stamps import NS_PER_S
 
 NAMES = ("x1", "x2")

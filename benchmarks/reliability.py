@@ -40,7 +40,7 @@ from benchmarks.domain import free_domain
 from benchmarks.rigs import fast
 from impact_observer.errors import BagError
 from impact_observer.io.reader import BagReader
-from impact_observer.ros.subscribing import MessageInfo
+from impact_observer.ros.topics import MessageInfo
 
 DUE, SENT, UP = 1.0, 0.5, 2.0
 """What had reached a process so long before its end is not lost; what it published so long before

@@ -312,7 +312,7 @@ def test_a_node_fed_by_play_estimates_what_observe_does(
 
     from impact_observer.io.interfaces import Quality
     from impact_observer.io.messages import read_estimate
-    from impact_observer.ros.qos import qos_profile
+    from impact_observer.ros.topics import qos_profile
 
     bag, output = shared("bags/two_mass"), tmp_path / "out"
     assert main(["observe", str(bag), "--initial-state", "random:1", "-o", str(output)]) == 0

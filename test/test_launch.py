@@ -466,8 +466,7 @@ def test_demo_launch_runs_and_estimates(
     from processes import spinning
 
     from impact_observer.io import interfaces
-    from impact_observer.ros.message_classes import message_class
-    from impact_observer.ros.qos import qos_profile
+    from impact_observer.ros.topics import message_class, qos_profile
 
     quality = qos_profile(interfaces.STATES)
     received = {law: [0, 0] for law in LAWS}

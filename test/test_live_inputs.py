@@ -87,7 +87,7 @@ def test_node_estimates_what_observe_does_with_samples_that_come_late(
 
     from impact_observer.io.interfaces import Quality
     from impact_observer.io.messages import read_estimate
-    from impact_observer.ros.qos import qos_profile
+    from impact_observer.ros.topics import qos_profile
 
     recorded, output = bag(tmp_path / "rig"), tmp_path / "out"
     assert main(["observe", str(recorded), "--initial-state", INITIAL, "-o", str(output)]) == 0

@@ -1,32 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base class of the nodes: parameters, topics, timers, log and diagnostics."""
+"""What every node has: life cycle, parameters, topics, log, diagnostics, and its end."""
 
+import faulthandler
+import gc
+import re
 import time
+from abc import abstractmethod
+from bisect import insort
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from dataclasses import replace
+from typing import Any, Generic, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.srv import ChangeState
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.node import Node
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_parameters
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from impact_observer.io.interfaces import DIAGNOSTIC_ARRAYS, SIMULATED_CLOCK, Interface
+from impact_observer.errors import UnsetError, UsageError
+from impact_observer.io.interfaces import (
+    DIAGNOSTIC_ARRAYS,
+    SIMULATED_CLOCK,
+    Interface,
+    Quality,
+)
 from impact_observer.io.messages import AnyMessage, MessageError
+from impact_observer.model import Model
 from impact_observer.options import Option
 from impact_observer.plain_text import printable
-from impact_observer.process_end import one_line
+from impact_observer.process_end import Stop, one_line
 from impact_observer.ros import parameters
-from impact_observer.ros.log_lines import LogLines
-from impact_observer.ros.message_classes import message_class, ros_messages
-from impact_observer.ros.qos import qos_profile
-from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import waiting_messages
+from impact_observer.ros.session import refusals_of_ros
+from impact_observer.ros.topics import (
+    MessageInfo,
+    common_offer,
+    message_class,
+    qos_profile,
+    ros_messages,
+    waiting_messages,
+)
 
+MOST_TOGETHER = 200
+"""Messages that one call of a callback takes at most: then timers and services have their turn."""
+FOLLOWING = SubscriptionEventCallbacks(use_default_callbacks=False)
+"""For a receiver that connects anew where a publisher does not fit: no log line says so."""
+_PAUSE, _MOST_KINDS, _OTHERS = 10.0, 20, "other lines"
+"""How long further log lines of a kind are only counted, s; kinds meanwhile, as strangers may name
+contacts; and the kind of the lines for which there is no room."""
 _MOST_CLOCKS = 100
 """Messages of the clock that are taken at once."""
 _OF_ROS = {"/rosout", "/parameter_events", "/clock", DIAGNOSTIC_ARRAYS.name}
@@ -37,40 +71,117 @@ _ERRORS = "errors"
 """Key of the number of errors that did not end the node."""
 _NOTED = 10.0
 """How long the status of a node is not OK after it has taken note of something, s."""
+_LONGEST = 40
+"""Characters of the name of a transition that are logged."""
+_URDF_PATIENCE, _URDF_PERIOD = 10.0, 0.02
+"""How long a node waits for a URDF, and time between two looks for it, s."""
+_SHUTDOWN_TIMEOUT = 5.0
+"""How long the middleware may take to shut down before the process ends without it, s."""
+_OBJECTS = 10_000, 20, 20
+"""New objects after which the youngest are searched for garbage, and ratios for older ones."""
+_SIGNAL_PERIOD = 0.1
+"""Longest time until a signal is noticed, s."""
+_Item = TypeVar("_Item")
 
 
-class BaseNode(Node):
-    """A node of the package.
+class BaseNode(LifecycleNode):
+    """A node that configures and activates itself, unless ``autostart`` is false.
+
+    An inactive node goes on receiving, and ``publish`` publishes nothing.
 
     Attributes:
         values: the parameters of the node.
         lines: the log of the node.
         make: makes ROS messages of our values.
-        doubts: what is wrong with the node from its start on, for ``/diagnostics``.
         ends_by: the errors that end the node.
+        done: whether the node's process is to end.
+        is_configured: whether the node is inactive or active.
+        is_active: whether the node publishes.
     """
 
     ends_by: tuple[type[Exception], ...] = ()
 
     def __init__(self, name: str, table: tuple[Option, ...]) -> None:
-        """Declare the parameters of ``table``.
+        """Declare the parameters of ``table``; configure and activate the node by ``autostart``.
 
         Raises:
-            UsageError: a parameter is of the wrong type, out of range, or missing.
+            UsageError: a parameter is of the wrong type, out of range, or missing; or the node
+                cannot be configured.
         """
         super().__init__(name)
-        self._lasting = set[object]()
         self._jump: JumpHandle | None = None
         self.values = parameters.declare(self, table)
         self.lines = LogLines(self.get_logger())
         self.make = ros_messages()
-        self.doubts = ""
         self._noted, self._last_note, self._last_kind = Counter[str](), "", ""
         self._noted_at = -_NOTED
         self.diagnose(tuple)
         self._status_topic = self.publisher(DIAGNOSTIC_ARRAYS)
         self.repeat(1.0, self._end_second)
         self.repeat(_LOOK_PERIOD, self.warn_of_surroundings)
+        self._doubts = "; ".join(self._unknown_parameters())
+        if self._doubts:
+            self.lines.warning(self._doubts)
+        self._lasting = self._entities().keys()
+        self.done = self.is_configured = self.is_active = False
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
+        self._failures: list[Exception] = []
+        if self.values.flag("autostart"):
+            self.trigger_configure()
+            if self._failures:
+                self.destroy_node()
+                raise self._failures[0]
+            self.trigger_activate()
+
+    @abstractmethod
+    def configure(self) -> None:
+        """Read the files that parameters name, and make topics, services and timers.
+
+        Raises:
+            UsageError: a parameter does not suit the others.
+        """
+
+    def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Begin anew; an error is logged, and the node stays unconfigured."""
+        try:
+            self.configure()
+        except Exception as error:  # noqa: BLE001 (rclpy would hide the error)
+            self._forget()
+            return self.refuse(error)
+        self.is_configured = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Publish from now on."""
+        self.is_active = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Pause: keep the state, and publish nothing."""
+        self.is_active = False
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Forget everything but the parameters."""
+        self._forget()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """End the process."""
+        self._forget()
+        self.done = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def destroy_node(self) -> None:
+        """Destroy the node, and the state machine, which would keep the node on the graph."""
+        super().destroy_node()
+        self.__dict__.pop("_state_machine", None)
+
+    def refuse(self, why: Exception) -> TransitionCallbackReturn:
+        """Let a transition fail; who asked for it finds the line of ``why`` in the log."""
+        self._failures = [why]
+        return TransitionCallbackReturn.FAILURE
 
     def stamp_now(self) -> int:
         """The time of the node's clock, ns; 0 under simulated time that has not begun."""
@@ -87,13 +198,15 @@ class BaseNode(Node):
     def publish(
         self, publisher: Publisher, convert: Callable[..., AnyMessage], *values: object
     ) -> AnyMessage | None:
-        """Publish ``convert(*values)``; log an error if no message may carry the values.
+        """Publish ``convert(*values)`` if the node is active.
 
-        So neither a number that is not finite leaves a node, nor does the node end.
+        An error is logged if no message may carry the values, such as numbers that are not finite.
 
         Returns:
             The message that is published; None if none is.
         """
+        if not self.is_active:
+            return None
         try:
             message = convert(*values)
         except MessageError as error:
@@ -141,6 +254,73 @@ class BaseNode(Node):
         """Publish ``statuses()`` to ``/diagnostics`` every second, before that of every node."""
         self._reports = statuses
 
+    def status(
+        self,
+        what: str,
+        level: bytes,
+        message: str,
+        values: Mapping[str, object],
+        hardware: str = "",
+    ) -> DiagnosticStatus:
+        """A status of ``what`` in the node, with the texts of ``values``."""
+        name = self.get_fully_qualified_name()
+        return DiagnosticStatus(
+            level=level,
+            name=f"{name}: {what}",
+            message=message,
+            hardware_id=hardware or name,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+
+    def warn_of_surroundings(self) -> None:
+        """Warn of simulated time that has not begun, and of another node of the same name."""
+        own = (self.get_name(), self.get_namespace())
+        if (count := self.get_node_names_and_namespaces().count(own)) > 1:
+            found = f"{count} nodes are called {self.get_fully_qualified_name()}"
+            remedy = "start one with another name (-r __node:=NAME) or ROS_DOMAIN_ID"
+            self.lines.warning(f"{found}: their messages are merged; {remedy}")
+        if self.get_parameter("use_sim_time").value and self.stamp_now() == 0:
+            self.lines.warning(
+                "use_sim_time is set, but no /clock has come: nothing is published until it does"
+            )
+
+    def introduce(self, what: str, waits_for: str) -> None:
+        """Log what the node runs, its topics, and what the node waits for."""
+        parts = [what]
+        for verb, owners in (("receives", self.subscriptions), ("publishes", self.publishers)):
+            if topics := sorted({each.topic_name for each in owners} - _OF_ROS):
+                parts.append(f"{verb} {', '.join(topics)}")
+        self.get_logger().info(printable("; ".join([*parts, f"waits for {waits_for}"])))
+
+    def with_urdf_of_topic(self, model: Model) -> Model:
+        """The ``model`` with the robot's URDF, which is waited for if a topic has it.
+
+        Raises:
+            UsageError: nothing comes on the topic, such as ``robot_description``.
+            ModelError: the URDF does not fit the model file.
+        """
+        robot = model.robot
+        if robot is None or robot.urdf is not None:
+            return model
+        latched, kind = (
+            Quality(transient_local=True, depth=1),
+            message_class("std_msgs/msg/String"),
+        )
+        subscription = self.create_subscription(
+            kind, robot.topic, lambda _: None, qos_profile(latched)
+        )
+        end = time.monotonic() + _URDF_PATIENCE
+        while not (got := [*waiting_messages(subscription, 1)]) and time.monotonic() < end:
+            time.sleep(_URDF_PERIOD)
+        self.destroy_subscription(subscription)
+        if not got:
+            raise UsageError(
+                f"{robot.name}: no URDF came on the topic {subscription.topic_name} within"
+                f" {_URDF_PATIENCE:g} s; expected a latched std_msgs/String, as of"
+                " robot_state_publisher"
+            )
+        return replace(model, robot=robot.with_urdf(got[0][0].data))
+
     def _end_second(self) -> None:
         """Publish the diagnostics of a second, and log how often lines were repeated."""
         self.lines.end_second()
@@ -156,22 +336,16 @@ class BaseNode(Node):
         if time.monotonic() < self._noted_at + _NOTED:
             is_error = self._last_kind == _ERRORS
             level = DiagnosticStatus.ERROR if is_error else DiagnosticStatus.WARN
-        elif self.doubts:
-            level, message = DiagnosticStatus.WARN, self.doubts
-        name = self.get_fully_qualified_name()
-        return diagnostic_status(f"{name}: node", level, message, self._noted, hardware=name)
+        elif self._doubts:
+            level, message = DiagnosticStatus.WARN, self._doubts
+        return self.status("node", level, message, self._noted)
 
-    def warn_of_surroundings(self) -> None:
-        """Warn of simulated time that has not begun, and of another node of the same name."""
-        own = (self.get_name(), self.get_namespace())
-        if (count := self.get_node_names_and_namespaces().count(own)) > 1:
-            found = f"{count} nodes are called {self.get_fully_qualified_name()}"
-            remedy = "start one with another name (-r __node:=NAME) or ROS_DOMAIN_ID"
-            self.lines.warning(f"{found}: their messages are merged; {remedy}")
-        if self.get_parameter("use_sim_time").value and self.stamp_now() == 0:
-            self.lines.warning(
-                "use_sim_time is set, but no /clock has come: nothing is published until it does"
-            )
+    def _unknown_parameters(self) -> Iterator[str]:
+        """A line for each parameter that was given, such as a misspelt one, and not declared."""
+        for name in sorted(self._parameter_overrides):
+            if not self.has_parameter(name) and not name.startswith("qos_overrides."):
+                declared = ", ".join(sorted(self.get_parameters_by_prefix("")))
+                yield f"parameter {name} does not exist and is ignored; expected {declared}"
 
     def _entities(self) -> dict[Any, Any]:
         """Topics, services and timers of the node, but no ``/clock``: how each is destroyed."""
@@ -184,10 +358,305 @@ class BaseNode(Node):
             **dict.fromkeys(self.guards, self.destroy_guard_condition),
         }
 
-    def introduce(self, what: str, waits_for: str) -> None:
-        """Log what the node runs, its topics, and what the node waits for."""
-        parts = [what]
-        for verb, owners in (("receives", self.subscriptions), ("publishes", self.publishers)):
-            if topics := sorted({each.topic_name for each in owners} - _OF_ROS):
-                parts.append(f"{verb} {', '.join(topics)}")
-        self.get_logger().info(printable("; ".join([*parts, f"waits for {waits_for}"])))
+    def _forget(self) -> None:
+        """Destroy what ``configure`` made, and what was made later in its callbacks."""
+        self.is_configured = self.is_active = False
+        self.diagnose(tuple)
+        if self._jump is not None:
+            self._jump.unregister()
+            self._jump = None
+        for each, destroy in self._entities().items():
+            if each not in self._lasting:
+                destroy(each)
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Make a transition; rclpy would end the node at one that is not possible."""
+        state = self._state_machine.current_state[1]
+        self._failures.clear()
+        try:
+            response = self._change_state(request, response)
+        except Exception:  # noqa: BLE001 (a request must not end the node)
+            response.success = False
+        if not response.success:
+            transition = request.transition.label[:_LONGEST] or request.transition.id
+            why = one_line(self._failures[0]) if self._failures else f"the node is {state}"
+            self.lines.error(f"transition {transition} failed: {why}")
+        return response
+
+
+def spin(stop: Stop, make: Callable[[], BaseNode], args: Sequence[str]) -> None:
+    """Make a node with the arguments of its process, and spin it until a signal or its own end.
+
+    Raises:
+        UsageError: the node refuses its parameters, or ROS the arguments after ``--ros-args``.
+    """
+    # Not EventsExecutor: in rclpy 7.1.6 an event of the middleware (incompatible quality of
+    # service) ends its spinning with a SystemError.
+    node = executor = None
+    try:
+        with refusals_of_ros("--ros-args: not understood"):
+            rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
+        with refusals_of_ros():
+            node = make()
+        gc.collect()  # a search of all that was imported takes 80 ms without a message
+        gc.freeze()
+        gc.set_threshold(*_OBJECTS)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while rclpy.ok() and not stop.requested and not node.done:
+            _spin_once(executor, node)
+    except UnsetError as error:
+        raise UsageError(f"{error}: give --ros-args -p {error.option}:=FILE") from None
+    except ExternalShutdownException:
+        return
+    finally:
+        # Fast DDS was once seen to hang when many nodes left at the same time.
+        faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True)
+        if executor is not None:
+            executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _spin_once(executor: SingleThreadedExecutor, node: BaseNode) -> None:
+    """Spin a node once; the node takes note of an error.
+
+    rclpy converts requests and messages outside of callbacks, so that no callback could guard
+    against what others send.
+    """
+    try:
+        executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
+    except (ExternalShutdownException, *node.ends_by):
+        raise
+    except Exception as error:  # noqa: BLE001 (nothing else ends a node)
+        node.note_error(error)
+
+
+class LogLines:
+    """Logs the first line of each kind, and later the number of further lines of that kind.
+
+    The kind of a line is the line without its numbers, unless it is given. So a flood of messages
+    floods no log.
+    """
+
+    def __init__(self, logger: RcutilsLogger) -> None:
+        """Log to ``logger``."""
+        self._logger = logger
+        self._begun: dict[str, float] = {}
+        self._repeated = Counter[str]()
+
+    def error(self, line: str, kind: str = "") -> None:
+        """Log an error."""
+        if self._is_new(line, kind):
+            self._logger.error(printable(line))
+
+    def warning(self, line: str, kind: str = "") -> None:
+        """Log a warning."""
+        if self._is_new(line, kind):
+            self._logger.warning(printable(line))
+
+    def info(self, line: str, kind: str = "") -> None:
+        """Log a usual event."""
+        if self._is_new(line, kind):
+            self._logger.info(printable(line))
+
+    def end_second(self) -> None:
+        """Log how often a kind was repeated whose pause is over; to be called every second."""
+        over = time.monotonic() - _PAUSE
+        for kind in [each for each, begun in self._begun.items() if begun <= over]:
+            del self._begun[kind]
+            if more := self._repeated.pop(kind, 0):
+                self._logger.info(printable(f"{kind}: {more} more in {_PAUSE:g} s"))
+
+    def _is_new(self, line: str, kind: str) -> bool:
+        """Whether no line of this kind was logged within the pause."""
+        kind = kind or without_numbers(line)
+        if kind not in self._begun and len(self._begun) >= _MOST_KINDS:
+            kind = _OTHERS
+        if kind in self._begun:
+            self._repeated[kind] += 1
+            return False
+        self._begun[kind] = time.monotonic()
+        return True
+
+
+def without_numbers(line: str) -> str:
+    """The line with N for each number."""
+    return re.sub(r"-?\d+(\.\d+)?(e[+-]?\d+)?", "N", line)
+
+
+class AheadOfClock(Generic[_Item]):
+    """Items whose stamps are too far ahead of the clock, until the clock is near: it may be late.
+
+    Items are in the order of their stamps; items of one stamp in the order of arrival.
+    """
+
+    def __init__(self, most: int) -> None:
+        """Keep at most ``most`` items: those with the least stamps."""
+        self._most = most
+        self._items: list[tuple[int, int, _Item]] = []
+        self._number = 0
+
+    def __len__(self) -> int:
+        """Number of items that are kept."""
+        return len(self._items)
+
+    def keep(self, stamp: int, item: _Item) -> _Item | None:
+        """Keep ``item`` for ``stamp`` (ns).
+
+        Returns:
+            The item with the largest stamp if there is no room for it; else None.
+        """
+        self._number += 1
+        insort(self._items, (stamp, self._number, item))
+        return self._items.pop()[2] if len(self._items) > self._most else None
+
+    def take_next(self, latest: int) -> _Item | None:
+        """Remove and return the first item if its stamp is at most ``latest`` (ns); else None."""
+        if self._items and self._items[0][0] <= latest:
+            return self._items.pop(0)[2]
+        return None
+
+    def clear(self) -> None:
+        """Forget all items."""
+        self._items.clear()
+
+
+class PolledGroup(CallbackGroup):
+    """A subscription whose messages are polled by ``Receiver.waiting``.
+
+    The executor does not wake for each of these messages: that takes longer than to read one.
+
+    Attributes:
+        has_messages: whether a message has come. Events of the middleware, such as a publisher
+            that does not fit, are waited for until then, as each message wakes who waits for them.
+    """
+
+    has_messages = False
+
+    def can_execute(self, entity: object) -> bool:
+        """Whether the executor waits for ``entity``."""
+        return not (self.has_messages or isinstance(entity, Subscription))
+
+    def beginning_execution(self, entity: object) -> bool:
+        """Whether the callback of ``entity`` may begin: always, as there is one thread."""
+        del entity
+        return True
+
+    def ending_execution(self, entity: object) -> None:
+        """Take note that the callback of ``entity`` has ended."""
+
+
+class Receiver:
+    """Receives the messages of one topic, whose publishers may change their type and quality.
+
+    Messages are taken as bytes. A message that is longer than the parameter ``max_message`` is
+    refused before its conversion, which may take seconds. So is a message that cannot be
+    converted or read. The node counts and tells what is refused.
+
+    Attributes:
+        topic: absolute name of the topic.
+        offers: by type, the quality that all publishers offer, as of the last ``look``. One that
+            was volatile stays so while there is a publisher: past messages would come again.
+        type_name: type of the messages that are received; empty while none are.
+        most_together: messages that are handed over together at most.
+    """
+
+    def __init__(
+        self,
+        node: BaseNode,
+        topic: str,
+        on_messages: Callable[[list[Any]], None],
+        *,
+        read: Callable[[AnyMessage, MessageInfo], object] = lambda message, _: message,
+        event_callbacks: SubscriptionEventCallbacks | None = None,
+        group: CallbackGroup | None = None,
+    ) -> None:
+        """Receive nothing yet.
+
+        Args:
+            node: owner of the subscription, with the parameter ``max_message``.
+            topic: name of the topic.
+            on_messages: called with what is read of messages that wait together, in the order of
+                arrival; at least one.
+            read: what is handed over for a message; may raise a ``MessageError``.
+            event_callbacks: called for events of the middleware; None for the usual log lines.
+            group: callback group; None for that of the node.
+        """
+        self._node, self._group, self._event_callbacks = node, group, event_callbacks
+        self._on_messages, self._read = on_messages, read
+        self._most_bytes = node.values.integer("max_message")
+        self._quality: Quality | None = None
+        self._subscription: Subscription | None = None
+        self.topic: str = node.resolve_topic_name(topic)
+        self.offers: dict[str, Quality] = {}
+        self.type_name = ""
+        self.most_together = MOST_TOGETHER
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with the publishers, as of the last ``look``; empty for nothing."""
+        if not self.offers:
+            return f"no node publishes {self.topic}"
+        others = ", ".join(each for each in self.offers if each != self.type_name)
+        return f"{self.topic}: {others} is published and not received" if others else ""
+
+    def look(self) -> bool:
+        """Look at the publishers; whether they offer other types or qualities than before."""
+        by_type: dict[str, list[TopicEndpointInfo]] = {}
+        for each in self._node.get_publishers_info_by_topic(self.topic):
+            by_type.setdefault(each.topic_type, []).append(each)
+        before, self.offers = self.offers, {}
+        for name, publishers in by_type.items():
+            offer = common_offer(self.topic, publishers)
+            keeps = offer.transient_local and before.get(name, offer).transient_local
+            self.offers[name] = replace(offer, transient_local=keeps)
+        return self.offers != before
+
+    def connect(self, type_name: str, quality: Quality) -> None:
+        """Receive messages of a type, with a quality of service, from now on.
+
+        Raises:
+            UsageError: the type is not installed.
+        """
+        if (type_name, quality) == (self.type_name, self._quality):
+            return
+        kind = message_class(type_name)
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+        self.type_name, self._quality = type_name, quality
+        self._subscription = self._node.create_subscription(
+            kind,
+            self.topic,
+            self._take,
+            qos_profile(quality),
+            callback_group=self._group,
+            event_callbacks=self._event_callbacks,
+            raw=True,
+        )
+
+    def waiting(self, most: int) -> list[Any]:
+        """What is read of up to ``most`` messages that have arrived already."""
+        if self._subscription is None:
+            return []
+        taken = waiting_messages(self._subscription, most)
+        return [used for each in taken for used in self._used(*each)]
+
+    def _take(self, data: bytes, info: MessageInfo) -> None:
+        """Hand over a message and those that wait behind it."""
+        if got := [*self._used(data, info), *self.waiting(self.most_together - 1)]:
+            self._on_messages(got)
+
+    def _used(self, data: bytes, info: MessageInfo) -> Iterator[Any]:
+        """Yields what is read of a message, unless the message is refused."""
+        try:
+            if len(data) > self._most_bytes:
+                limit = f"max_message allows {self._most_bytes}"
+                raise MessageError(f"a message of {len(data)} bytes; {limit}")
+            yield self._read(deserialize_message(data, message_class(self.type_name)), info)
+        except Exception as error:  # noqa: BLE001 (anybody may publish anything)
+            self._node.note(f"{self.topic}: refused", f"{self.topic}: {error}")

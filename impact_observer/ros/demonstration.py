@@ -21,11 +21,10 @@ from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage
 from impact_observer.io.writer import BagWriter
 from impact_observer.process_end import Interrupt, Stop
-from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.parameters import TABLES, check
-from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.recorder import Recorder, drain
 from impact_observer.ros.session import ros_node, spin_once
+from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.ros.wiring import (
     DISCOVERY,
     LOCAL,

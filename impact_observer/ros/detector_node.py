@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The detector node: sensor messages in, impact events out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -14,10 +14,8 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.live_inputs import read_pulse
 from impact_observer.io.messages import AnyMessage
 from impact_observer.ros import parameters
-from impact_observer.ros.managed_node import ManagedNode
-from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import FOLLOWING, MOST_TOGETHER, MessageInfo, Receiver
+from impact_observer.ros.base_node import FOLLOWING, MOST_TOGETHER, BaseNode, Receiver
+from impact_observer.ros.topics import MessageInfo, message_class
 from impact_observer.stamps import text
 
 _DISCOVERY_PERIOD = 0.1
@@ -28,7 +26,7 @@ _DEPTH = 5000
 """Messages of a sensor that may wait: half a second at 10 kHz."""
 
 
-class DetectorNode(ManagedNode):
+class DetectorNode(BaseNode):
     """Runs one :class:`Detector` on the topics of its sources.
 
     A message without a stamp in its header gets the middleware's time of publication. Under
@@ -41,7 +39,7 @@ class DetectorNode(ManagedNode):
         super().__init__("detector", parameters.DETECTOR)
 
     def configure(self) -> None:
-        """Implement ``ManagedNode``."""
+        """Implement ``BaseNode``."""
         self._detector = Detector(epoch=self.values.integer("epoch"))
         self._sources: dict[str, list[Source]] = {}
         for each in read_sources(self.values.text("sources")):
@@ -145,7 +143,7 @@ class DetectorNode(ManagedNode):
         """The state of each sensor."""
         return [
             *(
-                self._status(each, *self._fault(topic), {})
+                self.status(each.contact, *self._fault(topic), {}, each.contact)
                 for topic, own in self._sources.items()
                 if topic not in self._indices
                 for each in own
@@ -172,13 +170,8 @@ class DetectorNode(ManagedNode):
             level, message = DiagnosticStatus.WARN, "use_sim_time is set, but no /clock has come"
         if (fault := self._fault(topic))[1]:
             level, message = fault
-        return self._status(source, level, message, _values(source, counts, messages))
-
-    def _status(
-        self, source: Source, level: bytes, message: str, values: Mapping[str, object]
-    ) -> DiagnosticStatus:
-        name = f"{self.get_fully_qualified_name()}: {source.contact}"
-        return diagnostic_status(name, level, message, values, hardware=source.contact)
+        values = _values(source, counts, messages)
+        return self.status(source.contact, level, message, values, source.contact)
 
 
 def _values(source: Source, counts: SensorCounts, messages: int) -> dict[str, object]:

@@ -2,14 +2,19 @@
 """The nodes as processes: ``ros2 run impact_observer NAME``, or ``python -m`` this module."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from itertools import takewhile
 from textwrap import fill
 
+from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.plain_text import say
-from impact_observer.ros.node_process import run_node
+from impact_observer.process_end import Stop, end_with_parent, ends_within, run
 from impact_observer.ros.parameters import TABLES
+from impact_observer.ros.session import require_ros
+from impact_observer.ros.wiring import FOLLOW
 
 NODES = {
     "plant": "PlantNode",
@@ -24,6 +29,8 @@ _JOBS = {
     "observer": "Estimates the state of a system from its impacts.",
     "monitor": "Compares an estimate with the true state.",
 }
+_LONGEST_END = 2.0
+"""Time from a signal until a process ends in the midst of its work, s."""
 _HELP = """\
 usage: {name} --ros-args -p PARAMETER:=VALUE ... [--params-file FILE] [-r NAME:=OTHER ...]
 
@@ -72,11 +79,32 @@ def _help(name: str) -> str:
 
 
 def _run(name: str, args: Sequence[str] | None) -> int:
+    """Run a node until Ctrl-C, SIGTERM, its own end or an error.
+
+    Signals are handled from before the heavy imports on, so that an early signal ends the process
+    without a traceback, too.
+
+    Returns:
+        0 after an orderly end, also by a signal; 1 for a failure; 2 for wrong use. Work that goes
+        on for 2 s after a signal is ended, with 128 and the number of the signal.
+    """
     given = sys.argv[1:] if args is None else args
     if not {"-h", "--help"}.isdisjoint(takewhile("--ros-args".__ne__, given)):
         say(_help(name))
         return 0
-    return run_node(name, f"impact_observer.ros.{name}_node", NODES[name], args)
+
+    def job() -> int:
+        with Stop() as stop, ends_within(_LONGEST_END):
+            end_with_parent(int(os.environ.get(FOLLOW, "0")))
+            require_ros()
+            one_matrix_thread()  # before numpy is imported
+            from impact_observer.ros.base_node import spin
+
+            node_class = getattr(import_module(f"impact_observer.ros.{name}_node"), NODES[name])
+            spin(stop, node_class, given)
+        return 0
+
+    return run(name, job, own=args is None)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
 from impact_observer.io.messages import AnyMessage, MessageError, read_event
 from impact_observer.observer import Observer
-from impact_observer.ros.ahead_of_clock import AheadOfClock
+from impact_observer.ros.base_node import AheadOfClock
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000

@@ -10,9 +10,7 @@ from impact_observer.io.interfaces import Interface
 from impact_observer.io.live_inputs import give, read_pulse
 from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.model.live_signals import LiveSignals
-from impact_observer.ros.ahead_of_clock import AheadOfClock
-from impact_observer.ros.base_node import BaseNode
-from impact_observer.ros.subscribing import Receiver
+from impact_observer.ros.base_node import AheadOfClock, BaseNode, Receiver
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _MOST_AHEAD = 2000

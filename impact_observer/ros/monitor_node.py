@@ -21,21 +21,20 @@ from impact_observer.io.messages import (
 from impact_observer.model import read_model
 from impact_observer.robots.robot import simulated
 from impact_observer.ros import parameters
-from impact_observer.ros.managed_node import ManagedNode
-from impact_observer.ros.subscribing import Receiver
+from impact_observer.ros.base_node import BaseNode, Receiver
 
 _DEPTH = 2000
 """States that are kept until their counterpart arrives, and depth of the subscriptions."""
 
 
-class MonitorNode(ManagedNode):
+class MonitorNode(BaseNode):
     """Publishes ``~/error`` for each estimate and the true state of the same stamp."""
 
     def __init__(self) -> None:
         super().__init__("monitor", parameters.MONITOR)
 
     def configure(self) -> None:
-        """Implement ``ManagedNode``."""
+        """Implement ``BaseNode``."""
         self._system = simulated(read_model(self.values.text("model")))
         self._truth: OrderedDict[int, JointState] = OrderedDict()
         self._waiting: OrderedDict[int, JointState] = OrderedDict()

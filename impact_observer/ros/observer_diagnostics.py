@@ -4,6 +4,7 @@
 import math
 import time
 from collections import Counter
+from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -14,7 +15,6 @@ from impact_observer.io import interfaces
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
 from impact_observer.ros.live_intake import LiveIntake
-from impact_observer.ros.statuses import diagnostic_status
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 
@@ -44,9 +44,9 @@ class ObserverDiagnostics:
         input_timeout: how old the newest sample may be, s.
     """
 
-    def __init__(self, node: str, observer: Observer) -> None:
-        """Report on the ``observer`` of the node with the full name ``node``."""
-        self._node, self._observer = node, observer
+    def __init__(self, status: Callable[..., DiagnosticStatus], observer: Observer) -> None:
+        """Report on the ``observer`` of a node, whose ``status`` makes statuses."""
+        self._status, self._observer = status, observer
         self.counts: Counter[str] = Counter()
         self.failure = self.mismatch = self.behind = ""
         self.inputs: LiveIntake | None = None
@@ -124,8 +124,8 @@ class ObserverDiagnostics:
             **self._obstacle(last),
             **{f"{name} was set to": text for name, text in self.changes.items()},
         }
-        name, hardware = f"{self._node}: impacts", observer.system.name
-        return diagnostic_status(name, level, message, values, hardware=hardware)
+        hardware = observer.system.name
+        return self._status("impacts", level, message, values, hardware)
 
     def _input_values(self, now: int) -> dict[str, object]:
         """Ages of live forces and grounds, and counts of their samples."""

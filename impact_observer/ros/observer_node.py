@@ -29,15 +29,12 @@ from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.make_observer import declared_by, encoder_start
 from impact_observer.options import AT_NEXT_START, FROM_ESTIMATE, OBSERVER_OPTIONS, Options, Value
 from impact_observer.ros import parameters
+from impact_observer.ros.base_node import FOLLOWING, BaseNode, Receiver, without_numbers
 from impact_observer.ros.estimate_times import EstimateTimes
 from impact_observer.ros.event_intake import MOST_WAITING, EventIntake, Judged
 from impact_observer.ros.live_intake import LiveIntake
-from impact_observer.ros.log_lines import without_numbers
-from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
-from impact_observer.ros.robot_urdf import with_urdf_of_topic
 from impact_observer.ros.sensor_intake import SensorIntake
-from impact_observer.ros.subscribing import FOLLOWING, Receiver
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate, Vector
 from impact_observer.turns import turns_given_to
@@ -71,7 +68,7 @@ class _NewStart(NamedTuple):
     encoders: EncoderStart | None
 
 
-class ObserverNode(ManagedNode):
+class ObserverNode(BaseNode):
     """Runs one observer; every estimate is stamped ``epoch + k / rate``.
 
     Estimates are published when the clock is ``lag`` past their stamps. If an event arrives after
@@ -88,10 +85,10 @@ class ObserverNode(ManagedNode):
         parameters.on_change(self, parameters.OBSERVER, self._check_change, self._change)
 
     def configure(self) -> None:
-        """Implement ``ManagedNode``."""
+        """Implement ``BaseNode``."""
         values, options = self.values, self.values.options()
         _check_lag(options, {"lag": values.number("lag")})
-        model = with_urdf_of_topic(self, read_model(values.text("model")))
+        model = self.with_urdf_of_topic(read_model(values.text("model")))
         self._declared_sensors = read_measurements(values.text("measurements"))
         self.observer = make_observer(model, options, measurements=self._declared_sensors)
         for doubt in model.doubts:
@@ -112,7 +109,7 @@ class ObserverNode(ManagedNode):
         self._verdicts = self.publisher(interfaces.OBSERVER_VERDICTS)
         self._bounds = self.publisher(interfaces.OBSERVER_BOUND)
         self._samples = self.publisher(interfaces.OBSERVER_MEASUREMENTS)
-        self._diagnostics = ObserverDiagnostics(self.get_fully_qualified_name(), self.observer)
+        self._diagnostics = ObserverDiagnostics(self.status, self.observer)
         self._counts: Counter[str] = self._diagnostics.counts
         self._inputs = self._live_intake(options)
         self._diagnostics.inputs = self._inputs

@@ -22,10 +22,9 @@ from impact_observer.model.measurements_file import read_measurements
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.robots.robot import held_joints, simulated
 from impact_observer.ros import parameters
+from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.live_intake import LiveIntake
-from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.plant_sensors import PlantSensors
-from impact_observer.ros.robot_urdf import with_urdf_of_topic
 from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 from impact_observer.states import Vector
@@ -48,7 +47,7 @@ lost announcement after 3 s only.
 """
 
 
-class PlantNode(ManagedNode):
+class PlantNode(BaseNode):
     """Publishes ``impacts``, true states and the model; owns ``/clock`` on request.
 
     Events of the simulated sensor are published when they arrive, also after the end of the
@@ -63,10 +62,10 @@ class PlantNode(ManagedNode):
         super().__init__("plant", parameters.PLANT)
 
     def configure(self) -> None:
-        """Implement ``ManagedNode``."""
+        """Implement ``BaseNode``."""
         values = self.values
         self._paused, self._started = time.monotonic_ns(), 0
-        self._model = with_urdf_of_topic(self, read_model(values.text("model")))
+        self._model = self.with_urdf_of_topic(read_model(values.text("model")))
         self._system = simulated(self._model)
         self._rate = values.number("rate")
         self._duration = from_seconds(values.number("duration"))

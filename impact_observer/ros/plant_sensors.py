@@ -16,8 +16,7 @@ from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.robots.robot import Robot
 from impact_observer.ros.base_node import BaseNode
-from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.states import Vector
 
 

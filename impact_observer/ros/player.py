@@ -16,9 +16,8 @@ from impact_observer.io.interfaces import EVENTS, SIMULATED_CLOCK, Quality, usua
 from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
-from impact_observer.ros.message_classes import message_class, ros_messages
-from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.session import ros_node
+from impact_observer.ros.topics import message_class, qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 
 _SETTLING_TIME = 1.0

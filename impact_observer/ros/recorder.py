@@ -17,9 +17,8 @@ from impact_observer.io.typestores import installed_definition, typestore
 from impact_observer.io.writer import BagWriter
 from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
-from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.session import ros_node, spin_once
-from impact_observer.ros.subscribing import common_offer, subscribe_raw
+from impact_observer.ros.topics import common_offer, message_class, subscribe_raw
 
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for new topics, s."""

@@ -16,11 +16,14 @@ from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, Sens
 from impact_observer.io.messages import AnyMessage
 from impact_observer.observer import Observer
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
-from impact_observer.ros.ahead_of_clock import AheadOfClock
-from impact_observer.ros.base_node import BaseNode
-from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import MOST_TOGETHER, PolledGroup, Receiver
+from impact_observer.ros.base_node import (
+    MOST_TOGETHER,
+    AheadOfClock,
+    BaseNode,
+    PolledGroup,
+    Receiver,
+)
+from impact_observer.ros.topics import message_class
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _DEPTH = 2000
@@ -297,8 +300,8 @@ class SensorIntake:
             "rate [Hz]": f"{self.rate(index):.4g}",
             "age [s]": f"{age:.3f}",
         }
-        return diagnostic_status(
-            f"{self._node.get_fully_qualified_name()}: {SENSOR_STATUS}{sensor.name}",
+        return self._node.status(
+            f"{SENSOR_STATUS}{sensor.name}",
             DiagnosticStatus.WARN if fault else DiagnosticStatus.OK,
             fault or f"{counts['accepted']} samples accepted",
             values,

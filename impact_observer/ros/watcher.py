@@ -29,10 +29,8 @@ from impact_observer.io.messages import (
 from impact_observer.model import System, parse_model
 from impact_observer.process_end import Stop
 from impact_observer.robots.robot import Robot, simulated
-from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.session import ros_node
-from impact_observer.ros.subscribing import common_offer, waiting_messages
+from impact_observer.ros.topics import common_offer, message_class, qos_profile, waiting_messages
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Estimate
 

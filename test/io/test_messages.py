@@ -221,7 +221,7 @@ def test_ros_and_bag_messages_are_the_same_bytes_but_for_padding(
     """A bag made here has the same bytes as one recorded from nodes."""
     serialization = pytest.importorskip("rclpy.serialization")
     pytest.importorskip("impact_observer_msgs")
-    from impact_observer.ros.message_classes import ros_messages
+    from impact_observer.ros.topics import ros_messages
 
     type_name, make = maker
     store = typestore()

@@ -34,11 +34,10 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in
 from impact_observer.io.typestores import typestore
 from impact_observer.ros.detector_node import DetectorNode
-from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.player import Player, Playing
-from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.recorder import Recorder
 from impact_observer.ros.session import ros_node
+from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 
 pytestmark = pytest.mark.ros

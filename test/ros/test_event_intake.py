@@ -19,8 +19,8 @@ from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros import event_intake
 from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
-from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
+from impact_observer.ros.topics import ros_messages
 from impact_observer.stamps import NS_PER_S
 
 LATER = 10_000 * NS_PER_S
@@ -161,12 +161,16 @@ def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch)
 def test_an_observer_that_cannot_keep_up_warns_once(options: Options, remedy: str) -> None:
     """The warning has a remedy, and holds until no event waits for long."""
     observer = make_observer(read_model("two_mass").system, options)
-    diagnostics = ObserverDiagnostics("observer", observer)
+
+    def status(name: str, level: bytes, message: str, *_: object) -> DiagnosticStatus:
+        return DiagnosticStatus(name=name, level=level, message=message)
+
     behind = f"7 events wait, the oldest for 24.1 s: the observer cannot keep up{remedy}"
+    diagnostics = ObserverDiagnostics(status, observer)
     assert not diagnostics.note_backlog(2, 0.9)
     assert diagnostics.note_backlog(7, 24.1) == behind
-    status = diagnostics.status(NS_PER_S, None)
-    assert (status.level, status.message) == (DiagnosticStatus.WARN, behind)
+    found = diagnostics.status(NS_PER_S, None)
+    assert (found.level, found.message) == (DiagnosticStatus.WARN, behind)
     assert not diagnostics.note_backlog(3, 0.9)
     assert diagnostics.behind
     assert diagnostics.note_backlog(1, 0.1) == "the observer has caught up with the events"

@@ -16,8 +16,7 @@ from sensor_msgs.msg import JointState
 
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io.interfaces import EVENTS, STATES
-from impact_observer.ros.message_classes import ros_messages
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile, ros_messages
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

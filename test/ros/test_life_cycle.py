@@ -27,8 +27,7 @@ from impact_observer.io.messages import read_estimate, read_event, read_stamp
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.plant import Plant, simulate
-from impact_observer.ros.message_classes import ros_messages
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S, grid
 
 pytestmark = pytest.mark.ros

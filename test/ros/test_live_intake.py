@@ -17,7 +17,7 @@ from impact_observer.io.live_inputs import efforts_on
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros.live_intake import LiveIntake
-from impact_observer.ros.message_classes import ros_messages
+from impact_observer.ros.topics import ros_messages
 from impact_observer.stamps import NS_PER_S
 
 

@@ -39,10 +39,9 @@ from impact_observer.observer import (
 )
 from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
-from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_diagnostics import MisfitNews
 from impact_observer.ros.observer_node import ObserverNode
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 

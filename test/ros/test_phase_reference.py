@@ -22,8 +22,7 @@ from impact_observer.io import BagReader, interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import read_estimate
 from impact_observer.resources import shared
-from impact_observer.ros.message_classes import ros_messages
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 
 pytestmark = pytest.mark.ros

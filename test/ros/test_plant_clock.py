@@ -14,9 +14,8 @@ from sensor_msgs.msg import JointState
 
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
 from impact_observer.io.messages import read_event, read_stamp
-from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.plant_node import PlantNode
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 
 pytestmark = pytest.mark.ros

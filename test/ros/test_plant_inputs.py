@@ -16,8 +16,7 @@ from sensor_msgs.msg import JointState
 from systems import EPOCH
 
 from impact_observer.io import interfaces
-from impact_observer.ros.message_classes import message_class, ros_messages
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import message_class, qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 
 pytestmark = pytest.mark.ros

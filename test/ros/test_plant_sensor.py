@@ -21,8 +21,7 @@ from impact_observer.io.simulated_samples import (
 from impact_observer.model import parse_model, read_model
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
-from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.stamps import NS_PER_S, grid
 
 pytestmark = pytest.mark.ros

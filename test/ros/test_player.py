@@ -22,10 +22,9 @@ from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import BagReader, BagWriter, interfaces
 from impact_observer.io.messages import bag_messages, read_event, read_stamp
-from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.player import Player, Playing, play
-from impact_observer.ros.qos import offered_quality, qos_profile
 from impact_observer.ros.session import ros_node
+from impact_observer.ros.topics import message_class, offered_quality, qos_profile
 
 if TYPE_CHECKING:
     from impact_observer.io.messages import AnyMessage

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile
 
 pytestmark = pytest.mark.ros
 

@@ -26,11 +26,10 @@ from impact_observer.io import BagReader, BagWriter, JointState, interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.typestores import typestore
 from impact_observer.ros import recorder as recorder_module
-from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.player import play
-from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.recorder import Recorder, record
 from impact_observer.ros.session import ros_node
+from impact_observer.ros.topics import message_class, qos_profile, ros_messages
 
 if TYPE_CHECKING:
     from rclpy.executors import SingleThreadedExecutor

@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 
 from impact_observer.io.interfaces import Quality
 from impact_observer.robots import Robot
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile
 
 
 @pytest.mark.ros

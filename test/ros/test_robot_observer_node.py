@@ -39,9 +39,8 @@ from impact_observer.model.measurements_file import read_measurements
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.resources import shared
-from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_node import ObserverNode
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import message_class, qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 

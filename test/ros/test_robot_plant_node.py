@@ -22,8 +22,7 @@ from impact_observer.model import read_model
 from impact_observer.plant import make_plant, simulate
 from impact_observer.resources import shared
 from impact_observer.robots.robot import simulated
-from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.stamps import NS_PER_S, grid
 
 pytestmark = pytest.mark.ros

@@ -27,9 +27,8 @@ from impact_observer.model.measurements_file import parse_measurements
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Plant, Run, simulate
-from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_node import ObserverNode
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S, grid
 
 pytestmark = pytest.mark.ros

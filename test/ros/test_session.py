@@ -18,6 +18,15 @@ from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.session import require_ros, spin_once
 
+ALONE = (Option("autostart", False, "nothing begins by itself"),)
+
+
+class IdleNode(BaseNode):
+    """A node that does nothing."""
+
+    def configure(self) -> None:
+        """Make nothing."""
+
 
 @pytest.mark.parametrize(
     ("enable", "strategy", "line"),
@@ -113,11 +122,11 @@ def test_a_node_that_has_the_name_of_another_one_says_so(
     """Messages of two nodes of one name would be merged unnoticed."""
     assert ros_environment
     with spinning() as spinner:
-        node = BaseNode("observer", ())
+        node = IdleNode("observer", ALONE)
         spinner.add(node)
         node.warn_of_surroundings()
         assert "are called" not in "".join(capfd.readouterr())
-        spinner.add(BaseNode("observer", ()))
+        spinner.add(IdleNode("observer", ALONE))
         names = spinner.probe.get_node_names
         spinner.until(lambda: names().count("observer") == 2)
         node.warn_of_surroundings()

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log lines of events that come again and again."""
+"""The log lines of every node, and items that are stamped ahead of the clock."""
 
 import pytest
 
 pytest.importorskip("rclpy")
 
 
-from impact_observer.ros.log_lines import LogLines
+from impact_observer.ros.base_node import AheadOfClock, LogLines
 
 
 class Logger:
@@ -28,7 +28,7 @@ def test_lines_of_one_kind_are_logged_once_and_then_counted(
 ) -> None:
     """Lines that differ in numbers only are of one kind; other kinds are logged meanwhile."""
     logger, now = Logger(), [100.0]
-    monkeypatch.setattr("impact_observer.ros.log_lines.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("impact_observer.ros.base_node.time.monotonic", lambda: now[0])
     lines = LogLines(logger)
     for k in range(5):
         lines.warning(f"event {k}: rejected, spurious", "rejected, spurious")
@@ -55,3 +55,15 @@ def test_strangers_cannot_make_a_log_of_many_kinds() -> None:
         lines.warning(f"unknown contact {k}", f"contact {k}")
         lines.end_second()
     assert logger.lines == [f"unknown contact {k}" for k in range(21)]
+
+
+def test_items_come_in_the_order_of_their_stamps_and_the_farthest_has_no_room() -> None:
+    """Items of one stamp come in the order in which they were kept."""
+    ahead = AheadOfClock[str](3)
+    given = [(5, "e"), (3, "c"), (5, "f"), (9, "i"), (4, "d")]
+    assert [ahead.keep(stamp, item) for stamp, item in given] == [None, None, None, "i", "f"]
+    assert ahead.take_next(2) is None
+    assert [ahead.take_next(latest) for latest in (3, 3, 9, 9, 9)] == ["c", None, "d", "e", None]
+    ahead.keep(1, "a")
+    ahead.clear()
+    assert ahead.take_next(9) is None

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Message classes, qualities of service, and messages that wait, by ``rclpy``."""
+
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from typing import Any, TypeAlias
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from impact_observer.errors import UsageError
+from impact_observer.io.interfaces import Quality, usual_quality
+from impact_observer.io.messages import AnyMessage, Messages
+from impact_observer.states import Vector
+
+MessageInfo: TypeAlias = Mapping[str, int]
+"""Data of the middleware on a message, such as its ``source_timestamp``, ns."""
+
+
+@cache
+def message_class(type_name: str) -> AnyMessage:
+    """The ROS class of a message type, such as ``sensor_msgs/msg/JointState``.
+
+    Raises:
+        UsageError: its interface package is not installed, or not sourced.
+    """
+    package, _, name = type_name.partition("/")
+    module, _, name = name.partition("/")
+    try:
+        return getattr(import_module(f"{package}.{module}"), name)
+    except (ImportError, AttributeError) as error:
+        raise UsageError(
+            f"{type_name}: no such ROS message here ({error}); build or source {package}"
+        ) from error
+
+
+@cache
+def ros_messages() -> Messages:
+    """The maker of messages of the classes of ROS."""
+    return Messages(message_class, _floats)
+
+
+def _floats(values: Vector) -> "array[float]":
+    """The numbers as an ``array``, which ROS takes for ``float64[]`` without a check of each."""
+    numbers = array("d")
+    numbers.frombytes(values.tobytes())
+    return numbers
+
+
+def qos_profile(quality: Quality) -> QoSProfile:
+    """The profile of ``quality``, to offer or to request."""
+    reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
+    durability = (
+        DurabilityPolicy.TRANSIENT_LOCAL if quality.transient_local else DurabilityPolicy.VOLATILE
+    )
+    history = HistoryPolicy.KEEP_LAST if quality.depth else HistoryPolicy.KEEP_ALL
+    return QoSProfile(
+        history=history, depth=quality.depth, reliability=reliability, durability=durability
+    )
+
+
+def offered_quality(profile: QoSProfile, depth: int = 10) -> Quality:
+    """The quality of service of a publisher.
+
+    Args:
+        profile: profile of the publisher; unspecified policies count as reliable and volatile.
+        depth: depth of a publisher in another process, whose history is not visible.
+    """
+    kept = {HistoryPolicy.KEEP_ALL: 0, HistoryPolicy.KEEP_LAST: max(profile.depth, 1)}
+    return Quality(
+        reliable=profile.reliability != ReliabilityPolicy.BEST_EFFORT,
+        transient_local=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+        depth=kept.get(profile.history, depth),
+    )
+
+
+def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality:
+    """The quality of service that all publishers of a topic offer; at least one publisher."""
+    depth = usual_quality(topic).depth
+    return Quality.common(offered_quality(each.qos_profile, depth) for each in publishers)
+
+
+def waiting_messages(subscription: Subscription, most: int) -> Iterator[tuple[Any, MessageInfo]]:
+    """Take up to ``most`` messages that have arrived already; bytes if the subscription is raw.
+
+    The executor takes one message each time it waits, so that a burst would overflow the queue.
+    """
+    with (handle := subscription.handle):
+        for _ in range(most):
+            if (taken := handle.take_message(subscription.msg_type, subscription.raw)) is None:
+                return
+            yield taken
+
+
+def subscribe_raw(
+    node: Node,
+    topic: str,
+    message_type: AnyMessage,
+    quality: Quality,
+    on_message: Callable[[str, bytes], None],
+) -> Subscription:
+    """Hand each message of a topic to ``on_message`` as serialized bytes.
+
+    Args:
+        node: the caller spins the node.
+        topic: absolute name of the topic.
+        message_type: class of the messages.
+        quality: quality of service that is requested; ``depth`` messages may wait.
+        on_message: called with the topic and the bytes.
+    """
+
+    def take(data: bytes) -> None:
+        on_message(topic, data)
+        for waiting, _ in waiting_messages(subscription, quality.depth):
+            on_message(topic, waiting)
+
+    subscription = node.create_subscription(
+        message_type, topic, take, qos_profile(quality), raw=True
+    )
+    return subscription
