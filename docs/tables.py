@@ -42,15 +42,6 @@ def arguments(table: Sequence[Option]) -> str:
     return "\n".join(lines)
 
 
-def live_parameters(table: Sequence[Option]) -> str:
-    """A list of the parameters that may be set while a node runs, by when they act."""
-    names: dict[str, list[str]] = {}
-    for each in table:
-        if each.live:
-            names.setdefault(each.live, []).append(f"`{each.name}`")
-    return "\n".join(f"- {', '.join(found)}: {acts}" for acts, found in names.items())
-
-
 def parameters() -> str:
     """A table of the parameters of all nodes, without those that are options of commands."""
     options = {each.name for each in OBSERVER_OPTIONS} - {"history"}
@@ -77,7 +68,6 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
     },
     "nodes.md": {
         "parameters": parameters,
-        "live parameters": lambda: live_parameters(TABLES["observer"]),
     },
 }
 """What pages take from the code, by page and by the name between two comments."""

@@ -16,10 +16,6 @@ SETTLED = 1e-2
 _LAST_STAMP = 2**31 * 1_000_000_000 - 1
 """Equal to the whole seconds of ``stamps.MAX_STAMP``, without an import of NumPy."""
 
-AT_ONCE = "at once"
-AT_NEXT_START = "at the next reset or start of the plant; at once before the first event"
-FROM_ESTIMATE = "from the last estimate on, at which the filter begins anew"
-"""When values act that are set while a node runs."""
 Value: TypeAlias = bool | int | float | str | tuple[str, ...]
 _Default = TypeVar("_Default", bound=Value)
 
@@ -39,7 +35,7 @@ class Option:
         required: whether the empty default is refused.
         short: a shorter flag of the command line beside that of ``name``; empty for none.
         metavar: name of the value in ``--help``.
-        live: when a value acts that is set while a node runs; empty if none can be set.
+        live: whether a value may be set while a node runs.
     """
 
     name: str
@@ -52,7 +48,7 @@ class Option:
     required: bool = False
     short: str = ""
     metavar: str = ""
-    live: str = ""
+    live: bool = False
 
     @property
     def type(self) -> str:
@@ -142,11 +138,10 @@ def option(
     high: float | None = None,
     short: str = "",
     metavar: str = "",
-    live: str = "",
 ) -> _Default:
     """Make a field of a dataclass of options; the arguments are those of ``Option``."""
     row = Option("", default, meaning, unit, low, high, short=short, metavar=metavar)
-    return field(default=default, metadata={"option": replace(row, live=live)})
+    return field(default=default, metadata={"option": row})
 
 
 def rows_of(options: type) -> tuple[Option, ...]:
@@ -171,14 +166,12 @@ class Options:
         " with standard deviations of 1 m and 1 m/s; or zero",
         short="initial",
         metavar="STATE",
-        live=AT_NEXT_START,
     )
     initial_deviation: str = option(
         "1",
         "standard deviations of the initial state, in the units of initial_state: one number, or"
         " 2n numbers; check-model suggests deviations for a small rig",
         metavar="D",
-        live=AT_NEXT_START,
     )
     clock_error: float = option(
         -1.0,
@@ -187,7 +180,6 @@ class Options:
         "s",
         low=-1.0,
         high=0.1,
-        live=FROM_ESTIMATE,
     )
     clock_offset_error: float = option(
         0.0,
@@ -195,28 +187,24 @@ class Options:
         "s",
         low=0.0,
         high=0.1,
-        live=FROM_ESTIMATE,
     )
     missed: float = option(
         0.1,
         "minimum-variance: probability of a missed detection",
         low=0.0,
         high=0.9,
-        live=FROM_ESTIMATE,
     )
     spurious: float = option(
         0.1,
         "minimum-variance: probability that an event is a false positive",
         low=0.0,
         high=0.9,
-        live=FROM_ESTIMATE,
     )
     mislabelled: float = option(
         0.01,
         "minimum-variance: probability that an impact is reported for another contact",
         low=0.0,
         high=0.9,
-        live=FROM_ESTIMATE,
     )
     dead_time: float = option(
         0.0,
@@ -225,7 +213,6 @@ class Options:
         "s",
         low=0.0,
         high=10.0,
-        live=FROM_ESTIMATE,
     )
     model_error: float = option(
         -1.0,
@@ -235,7 +222,6 @@ class Options:
         low=-1.0,
         high=1e6,
         metavar="A",
-        live=FROM_ESTIMATE,
     )
     estimate_parameters: tuple[str, ...] = option(
         (),

@@ -606,53 +606,6 @@ class Observer:
             first = self._entry_of(replicas, root, stamp, now.closed, now.latest)
             self._run.restart(first)
 
-    def redeclare(
-        self,
-        law: Law,
-        position: ArrayLike,
-        velocity: ArrayLike,
-        stamp: int,
-        encoders: EncoderStart | None = None,
-    ) -> int | None:
-        """Go on with another declared uncertainty, that of ``law``, and another initial state.
-
-        Where only the initial state and its deviation differ, or the law has no covariance, they
-        hold from the next start on. Else the filter begins anew at the estimate of ``stamp`` (ns)
-        and its covariance: events after it act on it, and earlier ones that come later are too
-        late. Before the first event, all holds from the start.
-
-        Args:
-            law: of the same kind and system as the one before.
-            position: initial coordinates, shape (n,).
-            velocity: initial velocities, shape (n,).
-            stamp: at which an estimate can be made, unless there is none yet.
-            encoders: as of a new observer.
-
-        Returns:
-            The stamp from which the uncertainty acts, ns; None if that is the next start.
-
-        Raises:
-            UsageError, ImpactLawError: as ``set_state``; nothing changes.
-        """
-        x = np.concatenate(self.system.checked_state(position, velocity))
-        root = law.uncertainty.root(self.system.n)
-        self._follow()
-        timeline, known = self._run.timeline, None
-        has_events = timeline is not None and len(timeline.entries) > 1
-        goes_on = law.uncertainty.differs_only_at_start(self.law.uncertainty)
-        if has_events and law.has_covariance and not goes_on:
-            known = self.estimate(max(stamp, self.start or 0))
-        self.law, self._initial, self._root, self.encoders = law, x, root, encoders
-        if known is None and has_events:
-            return None
-        self._run.use(law)
-        if known is not None:
-            self.set_state(known.stamp, known.q, known.u, known.covariance)
-            return known.stamp
-        if timeline is not None:
-            timeline.restart(self._first_entry(timeline.start.stamp))
-        return self.start or 0
-
     @property
     def start(self) -> int | None:
         """The earliest stamp of an estimate, ns; None before an epoch or event is received."""

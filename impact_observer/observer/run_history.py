@@ -23,7 +23,6 @@ from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.impact_sides import ImpactSides, Near
-from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
@@ -102,10 +101,6 @@ class RunHistory:
         timeline.go_on_from(stamp, belief)
         self._is_state_given = True
         return True
-
-    def use(self, law: Law) -> None:
-        """Make later beliefs by another ``law`` for the same system."""
-        self.update.law, self._sides = law, ImpactSides(law)
 
     def rerun(self, stamp: int) -> None:
         """Take note that live signals have changed from ``stamp`` (ns) on."""

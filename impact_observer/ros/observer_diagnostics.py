@@ -10,7 +10,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Remark, Ruling, Verdict
-from impact_observer.filter.misfit import EXPLAINED
 from impact_observer.io import interfaces
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
@@ -26,8 +25,6 @@ _REFUSAL_HOLDS = 10.0
 """How long the status is not OK after the last refusal, s."""
 _BEHIND = 1.0
 """How long an event may wait before the observer counts as behind, s."""
-_CAUGHT_UP = 0.5
-"""How long the oldest event waits at most in an observer that has caught up, s."""
 
 
 class ObserverDiagnostics:
@@ -40,7 +37,6 @@ class ObserverDiagnostics:
         mismatch: a publisher of impacts of another type or quality of service; empty for none.
         behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
         inputs: the samples of live forces and grounds that the node receives; None for none.
-        changes: parameters that were set while the node runs: value, and from when it acts.
         input_timeout: how old the newest sample may be, s.
     """
 
@@ -50,7 +46,6 @@ class ObserverDiagnostics:
         self.counts: Counter[str] = Counter()
         self.failure = self.mismatch = self.behind = ""
         self.inputs: LiveIntake | None = None
-        self.changes: dict[str, str] = {}
         self.input_timeout = math.inf
         self._reported: Counter[str] = Counter()
         self._latency = 0.0
@@ -79,22 +74,14 @@ class ObserverDiagnostics:
         self._why, self._refused_at = why, time.monotonic()
 
     def note_backlog(self, count: int, waited: float) -> str:
-        """Note that ``count`` events wait, the oldest for ``waited`` (s).
-
-        Returns:
-            The line to log: a warning when the observer falls behind, a notice when the observer
-            has caught up; else empty.
-        """
-        was_behind, self._waiting = bool(self.behind), count
-        law, self.behind = self._observer.law, ""
-        if waited > (_CAUGHT_UP if was_behind else _BEHIND):
+        """Note that ``count`` events wait, the oldest for ``waited`` (s); a warning, or empty."""
+        self._waiting, self.behind, law = count, "", self._observer.law
+        if waited > _BEHIND:
             remedies = ["declare clock_error"] if law.uncertainty.clock_error is None else []
             remedies += ["take geometric"]
             remedy = f"; {', or '.join(remedies)}" if law.has_covariance else ""
             found = f"{count} events wait, the oldest for {waited:.1f} s"
             self.behind = f"{found}: the observer cannot keep up{remedy}"
-        if was_behind:
-            return "" if self.behind else "the observer has caught up with the events"
         return self.behind
 
     def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
@@ -122,7 +109,6 @@ class ObserverDiagnostics:
             **self._input_values(now),
             **({} if last is None else _estimate_values(last, observer.system.unit)),
             **self._obstacle(last),
-            **{f"{name} was set to": text for name, text in self.changes.items()},
         }
         hardware = observer.system.name
         return self._status("impacts", level, message, values, hardware)
@@ -206,31 +192,6 @@ class ObserverDiagnostics:
         new = [f"{n} {what}" for what, n in faults.items() if n > self._reported[what]]
         self._reported = Counter(faults)
         return new
-
-
-class MisfitNews:
-    """The lines to log of a misfit, each once.
-
-    Two accounts of a misfit, by different parameters, may take turns from event to event.
-    """
-
-    def __init__(self) -> None:
-        """Begin without a misfit."""
-        self._is_misfit = False
-        self._told: frozenset[str] = frozenset()
-
-    def line_for(self, estimate: Estimate) -> str:
-        """The line to log for an estimate; empty for nothing new.
-
-        A misfit is logged when it begins, when it first names a parameter, and when it has ended.
-        """
-        was_misfit, self._is_misfit = self._is_misfit, bool(estimate.misfit)
-        if not estimate.misfit:
-            return EXPLAINED if was_misfit else ""
-        names = frozenset(name for name, *_ in estimate.parameters)
-        is_new = not was_misfit or not names <= self._told
-        self._told = names | self._told if was_misfit else names
-        return estimate.misfit if is_new else ""
 
 
 def _doubt(last: Estimate | None) -> str:

@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from impact_observer_msgs.srv import SetState
@@ -19,24 +18,23 @@ from std_srvs.srv import Trigger
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Ruling, Verdict
+from impact_observer.filter.misfit import EXPLAINED
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import efforts_on
 from impact_observer.io.messages import AnyMessage
 from impact_observer.model import read_model
 from impact_observer.model.measurements_file import read_measurements
-from impact_observer.observer import LARGEST_INNOVATION, Law, initial_state, make_observer
-from impact_observer.observer.encoder_start import EncoderStart
-from impact_observer.observer.make_observer import declared_by, encoder_start
-from impact_observer.options import AT_NEXT_START, FROM_ESTIMATE, OBSERVER_OPTIONS, Options, Value
+from impact_observer.observer import LARGEST_INNOVATION, initial_state, make_observer
+from impact_observer.options import Options, Value
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import FOLLOWING, BaseNode, Receiver, without_numbers
 from impact_observer.ros.estimate_times import EstimateTimes
 from impact_observer.ros.event_intake import MOST_WAITING, EventIntake, Judged
 from impact_observer.ros.live_intake import LiveIntake
-from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
+from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.ros.sensor_intake import SensorIntake
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
-from impact_observer.states import Estimate, Vector
+from impact_observer.states import Estimate
 from impact_observer.turns import turns_given_to
 
 _DISCOVERY_PERIOD = 0.1
@@ -52,20 +50,8 @@ _BRIEF = 0.01
 """Time that estimates may take without a rest after them, s."""
 _LONGEST_REST = 0.25
 """Longest time without an estimate after slow ones, s."""
-_OF_THE_LAW = {
-    each.name for each in OBSERVER_OPTIONS if each.live in {AT_NEXT_START, FROM_ESTIMATE}
-}
-"""Parameters by which a law and its initial state are made."""
 _LONGEST = 100
 """Characters of a reason that are logged; the published verdict has all of them."""
-
-
-class _NewStart(NamedTuple):
-    """What parameters say that were set while the node runs."""
-
-    law: Law
-    initial: tuple[Vector, Vector]
-    encoders: EncoderStart | None
 
 
 class ObserverNode(BaseNode):
@@ -82,21 +68,19 @@ class ObserverNode(BaseNode):
 
     def __init__(self) -> None:
         super().__init__("observer", parameters.OBSERVER)
-        parameters.on_change(self, parameters.OBSERVER, self._check_change, self._change)
+        parameters.on_change(self, parameters.OBSERVER, self._check_lag, self._change)
 
     def configure(self) -> None:
         """Implement ``BaseNode``."""
         values, options = self.values, self.values.options()
-        _check_lag(options, {"lag": values.number("lag")})
+        self._check_lag({"lag": values.number("lag")})
         model = self.with_urdf_of_topic(read_model(values.text("model")))
-        self._declared_sensors = read_measurements(values.text("measurements"))
-        self.observer = make_observer(model, options, measurements=self._declared_sensors)
+        sensors = read_measurements(values.text("measurements"))
+        self.observer = make_observer(model, options, measurements=sensors)
         for doubt in model.doubts:
             self.lines.warning(doubt)
         self._say_torques()
-        self._sensor_topics = {
-            self.resolve_topic_name(each.topic) for each in self._declared_sensors
-        }
+        self._sensor_topics = {self.resolve_topic_name(each.topic) for each in sensors}
         system = self.observer.system
         self._initial = initial_state(options.initial_state, system)
         self._names = system.coordinates
@@ -124,7 +108,6 @@ class ObserverNode(BaseNode):
         self.repeat(_DISCOVERY_PERIOD, self._discover)
         self._next_turn = self._rests_until = 0.0
         self._is_turn = self._went_back = self._is_due = False
-        self._declared: _NewStart | None = None
         self._waits_for: tuple[str, ...] = ()
         self.serve(Trigger, "~/reset", self._on_reset)
         self.serve(SetState, "~/set_state", self._on_set_state)
@@ -233,28 +216,15 @@ class ObserverNode(BaseNode):
         self._times.restart()
         self._last: Estimate | None = None
         self._is_held = False
-        self._misfit_news = MisfitNews()
 
-    def _check_change(self, values: Mapping[str, Value]) -> None:
-        """Prepare the use of ``values`` that are to be set while the node runs.
-
-        Raises:
-            UsageError: they do not suit the model or the other parameters.
-        """
-        names = {each.name for each in OBSERVER_OPTIONS} & values.keys()
-        given: dict[str, Any] = {name: values[name] for name in names}
-        options = replace(self.values.options(), **given)
-        _check_lag(options, values)
-        self._declared = None
-        if self.is_configured and names & _OF_THE_LAW:
-            law, system = self.observer.law, self.observer.system
-            encoders = encoder_start(options, self.observer.robot, self._declared_sensors)
-            known = declared_by(options, system, law.uncertainty, encoders)
-            initial = initial_state(options.initial_state, system)
-            self._declared = _NewStart(type(law)(system, known), initial, encoders)
+    def _check_lag(self, values: Mapping[str, Value]) -> None:
+        """Raise a UsageError if the lag in ``values`` is longer than the history."""
+        lag, most = float(str(values.get("lag", 0.0))), self.values.number("history")
+        if lag > most:
+            raise UsageError(f"parameter lag: {lag:g} found; expected at most history, {most:g}")
 
     def _change(self, values: Mapping[str, Value]) -> None:
-        """Use parameters that were set while the node runs; stamps never go back."""
+        """Use a rate or lag that was set while the node runs; stamps never go back."""
         self.values.change(values)
         if not self.is_configured:
             return
@@ -264,19 +234,6 @@ class ObserverNode(BaseNode):
             self._times.change_rate(rate, epoch, self._last_stamp)
             self.destroy_timer(self._timer)
             self._timer = self.create_timer(1.0 / rate, self._on_timer)
-        since: int | None = None
-        if self._declared is not None:
-            self._apply(self.intake.finish())
-            law, self._initial, encoders = self._declared
-            since = self.observer.redeclare(law, *self._initial, self._last_stamp, encoders)
-        for name, value in values.items():
-            when = "now"
-            if name in _OF_THE_LAW:
-                when = (
-                    "the next start" if since is None else f"{since} ns" if since else "the start"
-                )
-            self._diagnostics.changes[name] = f"{value} from {when} on"
-            self.lines.info(f"parameter {name}: {self._diagnostics.changes[name]}")
 
     def _on_impacts(self, messages: Sequence[AnyMessage]) -> None:
         """Take the messages that wait, and apply their events, after samples that have come."""
@@ -436,11 +393,11 @@ class ObserverNode(BaseNode):
             self.publish(self._joint_states, self.make.joint_state_of, state)
         if estimate.bound != (-1.0 if last is None else last.bound):
             self.publish(self._bounds, self.make.bound, estimate)
-        if news := self._misfit_news.line_for(estimate):
+        if estimate.misfit != (last.misfit if last is not None else ""):
             if estimate.misfit:
-                self.lines.warning(news)
+                self.lines.warning(estimate.misfit)
             else:
-                self.lines.info(news)
+                self.lines.info(EXPLAINED)
         self._warn_of_held_forces(stamp)
 
     def _warn_of_held_forces(self, stamp: int) -> None:
@@ -503,22 +460,11 @@ class ObserverNode(BaseNode):
 
     def _statuses(self) -> list[DiagnosticStatus]:
         """Counts and faults of the observer, and of each sensor."""
-        if news := self._diagnostics.note_backlog(*self.intake.backlog()):
-            if self._diagnostics.behind:
-                self.lines.warning(news)
-            else:
-                self.lines.info(news)
+        if behind := self._diagnostics.note_backlog(*self.intake.backlog()):
+            self.lines.warning(behind)
         now = self.stamp_now()
         try:
             self.observer.forget_silence(now)
         except ImpactObserverError as error:
             self.lines.error(f"samples of inputs: {error}")
         return [self._diagnostics.status(now, self._last), *self._sensors.statuses(now)]
-
-
-def _check_lag(options: Options, values: Mapping[str, Value]) -> None:
-    """Raise a UsageError if the lag in ``values`` is longer than the history."""
-    lag = float(str(values.get("lag", 0.0)))
-    if lag > options.history:
-        found = f"parameter lag: {lag:g} found"
-        raise UsageError(f"{found}; expected at most history, {options.history:g}")

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.options import (
-    AT_ONCE,
     OBSERVER_OPTIONS,
     Option,
     Options,
@@ -96,7 +95,7 @@ PLANT = (
 OBSERVER = (
     _MODEL,
     *OBSERVER_OPTIONS,
-    Option("rate", 100.0, "rate of the estimates", "Hz", low=0.001, high=1e5, live=AT_ONCE),
+    Option("rate", 100.0, "rate of the estimates", "Hz", low=0.001, high=1e5, live=True),
     Option(
         "lag",
         0.0,
@@ -104,7 +103,7 @@ OBSERVER = (
         "s",
         low=0.0,
         high=1e9,
-        live=AT_ONCE,
+        live=True,
     ),
     _FUTURE,
     _INPUT_TIMEOUT,

@@ -39,7 +39,6 @@ from impact_observer.observer import (
 )
 from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
-from impact_observer.ros.observer_diagnostics import MisfitNews
 from impact_observer.ros.observer_node import ObserverNode
 from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
@@ -739,17 +738,6 @@ def test_model_that_does_not_explain_the_impacts_is_a_warning(
         assert values["synchronized"] == "False"
         assert int(values[Remark.MISFIT.value]) > 0
         assert "model error [m/s^1.5]" in values
-
-
-def test_misfit_is_logged_once_though_its_accounts_take_turns() -> None:
-    """A line when it begins, when it first names a parameter, and when it has ended."""
-    fits = make_observer(SYSTEM, Options(law="minimum-variance", epoch=EPOCH)).estimate(EPOCH)
-    misfit = replace(fits, misfit="wrong")
-    better = replace(fits, misfit="better", parameters=(("stiffness-scale", 1.1, 0.1),))
-    news, turns = MisfitNews(), [fits, misfit, misfit, *[better, misfit] * 10, fits, fits]
-    logged = [line for each in turns if (line := news.line_for(each))]
-    assert logged == ["wrong", "better", "the model explains the impacts again"]
-    assert news.line_for(misfit) == "wrong"
 
 
 def test_the_end_of_a_misfit_is_logged_too(
