@@ -177,7 +177,6 @@ class Observer:
         if reason:
             self._notices = [*self._notices, f"{reason}: the observer is reset"]
         self._runs = SenderRuns(self.given_epoch)
-        self._aside: tuple[SenderRun, RunHistory] | None = None
         self._without_epoch: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
         self._assumed_epoch = 0
         self.samples.clear()
@@ -206,7 +205,7 @@ class Observer:
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """Apply ``event`` at its own stamp, whenever it arrives.
 
-        Events of another run of the sender are kept until others confirm it (``SenderRuns``).
+        An event of another run of the sender is kept until the next one confirms it.
 
         Returns:
             One verdict a switch, or one on the whole event; then those on inserted impacts, and
@@ -226,15 +225,12 @@ class Observer:
             return self._refuse(event, Ruling.REJECTED, reason, Remark.BEFORE_EPOCH)
         weighed = self._runs.weigh(event)
         if weighed.reason:
-            return self._refuse(event, Ruling.REJECTED, weighed.reason, weighed.remark)
+            return self.refuse(event, weighed.reason)
         if weighed.previous is not None:
             self._change_run(weighed.previous)
+            self.samples.again(self.epoch or event.stamp)
         elif self._runs.in_use is not None:
             self._adopt(self._runs.in_use.epoch)
-        if weighed.replaces:
-            self._begin_run(self.epoch)
-        if weighed.replaces or weighed.previous is not None:
-            self.samples.again(self.epoch or event.stamp)
         released = weighed.released
         if self._without_epoch and self.epoch and not self.lacking:
             released = (*self._without_epoch, *released)
@@ -652,23 +648,16 @@ class Observer:
         return initial_entry(stamp, belief, self._test.initial(belief), closed, latest)
 
     def _change_run(self, previous: SenderRun) -> None:
-        """Follow the new run of the sender, and keep the ``previous`` run."""
+        """Follow the new run of the sender after the ``previous`` one."""
         run = self._runs.in_use
         assert run is not None, "it has changed"
         if previous.goes_on_as(run):
             self._adopt(run.epoch)
             return
-        aside = previous, self._run
-        if self._aside is not None and self._aside[0] == run:
-            self._run = self._aside[1]
-            what = "goes on"
-        else:
-            self._begin_run(run.epoch or self.given_epoch)
-            what = "is new"
-        self._aside = aside
+        self._begin_run(run.epoch or self.given_epoch)
         is_epoch = run.epoch != previous.epoch and run.episode <= previous.episode
         name = f"epoch {text(run.epoch)} s" if is_epoch else f"episode {run.episode}"
-        self._notices = [*self._notices, f"{name} {what}: the observer is reset"]
+        self._notices = [*self._notices, f"{name} is new: the observer is reset"]
         self.remarks[Remark.EPOCH if is_epoch else Remark.EPISODE] += 1
         self.restarts += 1
 
@@ -692,9 +681,9 @@ class Observer:
             verdicts.append(verdict)
         return tuple(verdicts), tuple(sorted(set(switches)) if len(switches) > 1 else switches)
 
-    def refuse(self, event: ImpactEvent, reason: str, remark: Remark) -> tuple[Verdict, ...]:
-        """Reject an event of a recording that is known to have no effect."""
-        return self._refuse(event, Ruling.REJECTED, reason, remark)
+    def refuse(self, event: ImpactEvent, reason: str) -> tuple[Verdict, ...]:
+        """Reject an event of another run of the sender than the one in use."""
+        return self._refuse(event, Ruling.REJECTED, reason, Remark.UNCONFIRMED)
 
     def _refuse(
         self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark

@@ -123,7 +123,7 @@ def _received(
     """The verdicts on an event; an error of the law is noted in ``errors``, if given."""
     event, why = pending.event, pending.why
     if why.reason:
-        return observer.refuse(event, why.reason, why.remark)
+        return observer.refuse(event, why.reason)
     try:
         return observer.receive(event)
     except DynamicsError as error:

@@ -224,7 +224,10 @@ def test_event_of_an_old_episode_is_rejected() -> None:
     watcher.receive(event(1.0, "stop", sequence=1, episode=3))
     before = state(watcher, 2.0)
     verdict = watcher.receive(event(1.5, "stop", sequence=9, episode=2))[0]
-    assert (verdict.ruling, verdict.reason) == (Ruling.REJECTED, "episode 2 is over")
+    assert (verdict.ruling, verdict.reason) == (
+        Ruling.REJECTED,
+        "episode 2 is not in use: it takes effect with two events in a row",
+    )
     assert state(watcher, 2.0) == before
 
 

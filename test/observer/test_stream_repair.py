@@ -342,7 +342,7 @@ def test_every_refused_event_is_counted() -> None:
         assert verdict.ruling is not Ruling.APPLIED
         assert verdict.reason
         assert bits(watcher) == before
-    kinds = Remark.DUPLICATE, Remark.TOO_LATE, Remark.UNKNOWN_CONTACT, Remark.PAST
+    kinds = Remark.DUPLICATE, Remark.TOO_LATE, Remark.UNKNOWN_CONTACT, Remark.UNCONFIRMED
     assert [watcher.remarks[each] for each in kinds] == [1, 1, 1, 1]
     assert watcher.missing == 0
 
@@ -351,7 +351,7 @@ def test_first_verdict_after_a_restart_has_the_reason() -> None:
     """A new episode, a new epoch, or a clock that jumped back; once each."""
     watcher = watcher_of("geometric", [event(1.0, "c1", sequence=1)])
     new = {"episode": 1, "epoch": EPOCH + 5}
-    needed = "is new: it takes effect with 2 events in agreement"
+    needed = "is not in use: it takes effect with two events in a row"
     assert reasons(watcher.receive(event(2.0, "c1", sequence=1, **new))) == [
         (Ruling.REJECTED, f"epoch 5.000000005 s {needed}")
     ]
