@@ -103,7 +103,6 @@ class Remark(Enum):
     UNCONFIRMED = "of another episode or epoch"
     BEFORE_EPOCH = "stamped before their epoch"
     LEAP = "leaps of sequence numbers"
-    REUSED = "sequence numbers used twice"
     EPISODE = "new episodes"
     EPOCH = "new epochs"
     REVISED = "revised verdicts"

@@ -51,8 +51,6 @@ from impact_observer.states import (
 
 MOST_LIVE_SAMPLES = 100_000
 """Samples of live signals that are kept while there is no event: those of 100 s at 1 kHz."""
-MOST_NUMBERS = 100_000
-"""Sequence numbers that are remembered while no event can be applied."""
 MOST_FLIGHTS = 8
 """Flights in which sources of deviations are looked for."""
 MOST_WAITING = 1000
@@ -280,25 +278,25 @@ class Observer:
             self._without_epoch.append(event)
             raise
         verdicts, switches = self._resolve_contacts(event)
-        if self._run.is_repeated(event, switches):
-            reason = "this sequence number was seen"
-            return self._refuse(event, Ruling.DUPLICATE, reason, Remark.DUPLICATE)
-        notices = self._notices
-        if irregularity := self._run.register(event):
+        key = EventKey(event.stamp, event.sequence, switches)
+        late = {} if waiting is None else waiting.setdefault(self._run, {})
+        if switches and (key in late or (self.timeline is not None and key in self.timeline)):
+            return self._refuse(event, Ruling.DUPLICATE, "it was seen", Remark.DUPLICATE)
+        notices, numbers = self._notices, self._run.numbers
+        is_overtaken = 0 < event.sequence < numbers.highest
+        if irregularity := numbers.note(event.sequence):
             self.remarks[irregularity[0]] += 1
             self._notices = [*notices, irregularity[1]]
-        is_overtaken = 0 < event.sequence < self._run.numbers.highest
         try:
             if why := self._run.too_old(event.stamp):
+                numbers.discard(event.sequence)
                 return self._refuse(event, *why)
             timeline = self._run.timeline_from_start(event.stamp)
-            key = EventKey(event.stamp, event.sequence, switches)
-            if not switches:
-                self._run.numbers.keep_highest(MOST_NUMBERS)  # its stamp must not shorten the past
+            if not switches:  # its stamp must not shorten the past
                 return self._with_notices(verdicts)
             if timeline.newest.stamp >= key.stamp:
-                late = {} if waiting is None else waiting.setdefault(self._run, {})
-                if why := misplaced(key, timeline, late):
+                if why := misplaced(key, timeline):
+                    numbers.discard(event.sequence)
                     return self._refuse(event, *why)
                 if waiting is not None:
                     late[key] = _Waiting(event, verdicts, is_overtaken, self._notices)
@@ -306,7 +304,7 @@ class Observer:
                     return ()
             insertion = timeline.insert(key)
         except ImpactObserverError:
-            self._run.numbers.discard(event.sequence)
+            numbers.discard(event.sequence)
             self._notices = notices
             raise
         ((own,), others) = self._inserted(
@@ -466,7 +464,7 @@ class Observer:
         """Apply late events of a run together."""
         timeline = run.timeline
         assert timeline is not None, "they are late"
-        without_place = {key: why for key in waiting if (why := misplaced(key, timeline, ()))}
+        without_place = {key: why for key in waiting if (why := misplaced(key, timeline))}
         for key, why in without_place.items():  # the past was shortened since
             yield waiting[key].event, self._refuse(waiting[key].event, *why)
         self._is_inserting = True

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The history of one run of the sender: its events, and the estimates between the events."""
 
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import (
     Contacts,
     ImpactEstimate,
-    ImpactEvent,
     Kind,
     Remark,
     Ruling,
@@ -128,27 +127,6 @@ class RunHistory:
         """Raise UsageError where the forcing depends on time and its epoch is unknown."""
         require_epoch(self._system, self.update.epoch)
 
-    def register(self, event: ImpactEvent) -> tuple[Remark, str] | None:
-        """Remember the number of an event; returns an irregularity or a gap, if any."""
-        numbers, sequence = self.numbers, event.sequence
-        if numbers.follows(sequence):
-            numbers.remember(sequence, event.stamp)
-            return None
-        remark, notice = Remark.GAP, numbers.gap(sequence)
-        if not notice and numbers.leaps(sequence):
-            remark, notice = Remark.LEAP, f"its number leaps from {numbers.highest}"
-        elif sequence in numbers and (stamp := numbers.stamp_of(sequence)) != event.stamp:
-            remark, notice = Remark.REUSED, f"its number is that of the event at {text(stamp)} s"
-        numbers.remember(sequence, event.stamp)
-        return (remark, notice) if notice else None
-
-    def is_repeated(self, event: ImpactEvent, switches: Collection[object]) -> bool:
-        """Whether an event that is not in the timeline was received before, by its number."""
-        if self.numbers.stamp_of(event.sequence) != event.stamp:
-            return False
-        timeline = self.timeline
-        return not switches or timeline is None or event.stamp <= timeline.start.stamp
-
     def too_old(self, stamp: int) -> Refusal | None:
         """Why an event at ``stamp`` (ns) is too late to be applied; None if not too late."""
         timeline = self.timeline
@@ -199,7 +177,6 @@ class RunHistory:
         most = MOST_EVENTS + MOST_MEASURED if self.update.sensors else MOST_EVENTS
         if timeline.forget_before(timeline.newest.stamp - self._history, most):
             self._issued.forget_before(timeline.start.stamp)
-            self.numbers.forget_before(timeline.start.stamp)
 
     def measure(
         self, keys: Iterable[EventKey]
@@ -424,13 +401,11 @@ class RunHistory:
         return self._system.from_frame(stamps - self.update.epoch, x)
 
 
-def misplaced(key: EventKey, timeline: Timeline, waiting: Container[EventKey]) -> Refusal | None:
-    """Why a late event is refused a place among those applied and those ``waiting``, or None."""
-    if not timeline.accepts(key):
-        return Ruling.TOO_LATE, _before(timeline.start.stamp), Remark.TOO_LATE
-    if key in timeline or key in waiting:
-        return Ruling.DUPLICATE, "the same event was seen", Remark.DUPLICATE
-    return None
+def misplaced(key: EventKey, timeline: Timeline) -> Refusal | None:
+    """Why a late event is refused a place among those applied; None if it is not."""
+    if timeline.accepts(key):
+        return None
+    return Ruling.TOO_LATE, _before(timeline.start.stamp), Remark.TOO_LATE
 
 
 def _before(start: int) -> str:

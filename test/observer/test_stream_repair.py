@@ -14,10 +14,8 @@ from impact_observer.compare.comparison import impacts_in
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
 from impact_observer.observer import Observer
-from impact_observer.observer import observer as observer_module
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.laws import BUILT_IN
-from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.stamps import NS_PER_S
 
 LAWS = pytest.mark.parametrize("law", BUILT_IN)
@@ -407,27 +405,8 @@ def test_events_after_a_set_state_act_on_it(law: str) -> None:
     assert bits(first, stamps) == bits(last, stamps)
 
 
-def test_sequence_numbers_beyond_the_history_are_neither_new_nor_missing() -> None:
-    """Whether the events arrive again or not."""
-    numbers = SequenceNumbers()
-    for k in (*range(1, 80), 81):
-        numbers.remember(k, 10 * k)
-        numbers.forget_before(10)  # nothing is older
-    assert len(numbers) == 80
-    for k in range(82, 300):
-        numbers.remember(k, 10 * k)
-        numbers.forget_before(10 * k - 100)
-        assert len(numbers) < 200
-    numbers.remember(2, 20)
-    assert numbers.missing == 1
-    assert numbers.gap(301) == "event 300 before it is missing"
-
-
-def test_numbers_of_events_with_unknown_contacts_are_kept_for_the_history_only(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_numbers_of_events_with_unknown_contacts_are_kept_for_the_history_only() -> None:
     """Memory stays bounded for a sensor of contacts that the model does not have."""
-    monkeypatch.setattr(observer_module, "MOST_NUMBERS", 100)
     watcher = watcher_of("geometric", history=1.0, ensemble=1)
     early = 0
     for k in range(1, 1000):
