@@ -289,14 +289,12 @@ class Observer:
             self._notices = [*notices, irregularity[1]]
         try:
             if why := self._run.too_old(event.stamp):
-                numbers.discard(event.sequence)
                 return self._refuse(event, *why)
             timeline = self._run.timeline_from_start(event.stamp)
             if not switches:  # its stamp must not shorten the past
                 return self._with_notices(verdicts)
             if timeline.newest.stamp >= key.stamp:
                 if why := misplaced(key, timeline):
-                    numbers.discard(event.sequence)
                     return self._refuse(event, *why)
                 if waiting is not None:
                     late[key] = _Waiting(event, verdicts, is_overtaken, self._notices)
