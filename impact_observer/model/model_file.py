@@ -26,6 +26,8 @@ from impact_observer.model.declared_deviations import with_deviations, without_d
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
+from impact_observer.model.forcing_keys import KEYS as FORCING_KEYS
+from impact_observer.model.forcing_keys import read_forcing, written_forcing
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.gone_keys import problem_with_unit, without_gone
 from impact_observer.model.ground_keys import (
@@ -206,7 +208,8 @@ class Model:
         if self.system.unit != _unit_of(elements=bool(self.element_form)):
             form["unit"] = self.system.unit
         if self.element_form and "forcing" in form:  # the form may name a file
-            form["forcing"] = _sampled_of(self.system)
+            samples = self.system.own_forcing.sampled
+            form["forcing"] = sampled_files.written_samples(samples, self.system.coordinates)
         if self.system.frame is not None:
             form["grounds"] = list(self.system.frame.grounds.written)
         return form
@@ -259,23 +262,9 @@ def _motion_of(s: System, factors: Sequence[float]) -> Value:
     ]
 
 
-def _sampled_of(system: System) -> dict[str, Value]:
-    samples = system.own_forcing.sampled
-    if samples is None:
-        return {}
-    table = sampled_files.table_of(samples, system.coordinates)
-    return {"sampled": table, "hold": samples.hold}
-
-
 def _forcing_of(system: System) -> Value:
     forcing = system.own_forcing
-    names = ("frequency", "cosine", "sine")
-    harmonics = zip(*(getattr(forcing, name).tolist() for name in names), strict=True)
-    document: dict[str, Value] = {
-        "constant": forcing.constant.tolist(),
-        "harmonics": [dict(zip(names, each, strict=True)) for each in harmonics],
-        **_sampled_of(system),
-    }
+    document = written_forcing(forcing, system.coordinates)
     if (waves := forcing.squares) is not None:
         parts = (waves.frequency.tolist(), waves.phase.tolist(), waves.force.tolist())
         document["squares"] = [
@@ -575,30 +564,14 @@ def _forcing(
     n, pushed = len(coordinates), np.zeros((2, len(motions.names), len(coordinates)))
     if "forcing" not in section:
         return Forcing.none(n), (pushed[0].T, pushed[1].T), []
-    keys = ("constant", "harmonics", "squares", *sampled_files.KEYS, "grounds", "inputs")
+    keys = (*FORCING_KEYS, "squares", "grounds", "inputs")
     forcing = Section("forcing", section.value("forcing"), keys)
-    harmonics = [
-        Section(key, value, ("frequency", "cosine", "sine", "order"))
-        for key, value in forcing.items("harmonics")
-    ]
-
-    def part(name: str) -> Matrix:
-        rows = [harmonic.vector(name, n, optional=True) for harmonic in harmonics]
-        return np.reshape(rows, (len(harmonics), n))
-
     for key, value in forcing.items("grounds"):
         ground = Section(key, value, ("name", "stiffness", "damping"))
         which = _known(ground, "name", motions)
         for each, kind in zip(pushed, ("stiffness", "damping"), strict=True):
             each[which] += ground.vector(kind, n, optional=True)
-    own = Forcing(
-        constant=forcing.vector("constant", n, optional=True),
-        frequency=np.array([each.number("frequency") for each in harmonics]),
-        cosine=part("cosine"),
-        sine=part("sine"),
-        sampled=sampled_files.read_samples(forcing, coordinates, folder),
-        squares=_squares(forcing, n),
-    )
+    own = replace(read_forcing(forcing, coordinates, folder), squares=_squares(forcing, n))
     items = [Section(*item, ("name", "direction")) for item in forcing.items("inputs")]
     inputs = [(each.text("name"), each.vector("direction", n)) for each in items]
     return own, (pushed[0].T, pushed[1].T), inputs

@@ -7,13 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Section, Value, file_beside, number
-from impact_observer.model.force_samples import Samples
+from impact_observer.model import forcing_keys
+from impact_observer.model.document import Section, file_beside, number
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.robot_description import PlaneContact, RobotDescription, one_of_each
-from impact_observer.model.sampled_files import KEYS as SAMPLED_KEYS
-from impact_observer.model.sampled_files import read_samples, table_of
 from impact_observer.model.urdf_file import Urdf
 from impact_observer.resources import read_text
 from impact_observer.states import Vector
@@ -24,7 +22,6 @@ ROBOT_KEYS = (
 )
 _URDF = "urdf"
 _CONTACT_KEYS = ("name", "frame", "normal", "offset", *REBOUND_KEYS)
-_HARMONIC = ("frequency", "cosine", "sine")
 
 
 def read_robot(name: str, section: Section, folder: Path | None) -> RobotDescription:
@@ -34,7 +31,6 @@ def read_robot(name: str, section: Section, folder: Path | None) -> RobotDescrip
         ModelError: a value is wrong; the error names the key and the expected value.
     """
     joints = tuple(_names(section, "joints"))
-    n = len(joints)
     urdf, topic = _urdf(section, folder)
     contacts = [Section(*item, _CONTACT_KEYS) for item in section.items("contacts")]
     forcing = _forcing(section, joints, urdf, folder)
@@ -42,7 +38,7 @@ def read_robot(name: str, section: Section, folder: Path | None) -> RobotDescrip
     if urdf is not None:
         document[_URDF] = urdf.text
     if forcing.sampled is not None:
-        document["forcing"] = _forcing_document(forcing, forcing.sampled, joints)
+        document["forcing"] = forcing_keys.written_forcing(forcing, joints)
     return RobotDescription(
         name=name,
         joints=joints,
@@ -55,7 +51,7 @@ def read_robot(name: str, section: Section, folder: Path | None) -> RobotDescrip
         forces=_forces(section),
         torque_deviation=_torque_deviation(section, joints, urdf),
         gravity=section.vector("gravity", 3) if "gravity" in section else np.array(_GRAVITY),
-        forcing=forcing if n else Forcing.none(0),
+        forcing=forcing,
         document=document,
     )
 
@@ -149,35 +145,7 @@ def _forcing(
     section: Section, joints: tuple[str, ...], urdf: Urdf | None, folder: Path | None
 ) -> Forcing:
     """Torques and forces of the drives of a plant."""
-    n, each_has = len(joints), one_of_each(joints, urdf)
     if "forcing" not in section:
-        return Forcing.none(n)
-    forcing = Section(
-        "forcing", section.value("forcing"), ("constant", "harmonics", *SAMPLED_KEYS)
-    )
-    harmonics = [Section(*item, _HARMONIC) for item in forcing.items("harmonics")]
-
-    def part(name: str) -> Vector:
-        rows = [each.vector(name, n, optional=True, meaning=each_has) for each in harmonics]
-        return np.reshape(rows, (len(harmonics), n))
-
-    return Forcing(
-        constant=forcing.vector("constant", n, optional=True, meaning=each_has),
-        frequency=np.array([each.positive("frequency") for each in harmonics]),
-        cosine=part("cosine"),
-        sine=part("sine"),
-        sampled=read_samples(forcing, joints, folder),
-    )
-
-
-def _forcing_document(forcing: Forcing, samples: Samples, joints: tuple[str, ...]) -> Value:
-    """The key ``forcing`` with the samples inside."""
-    parts = (getattr(forcing, name).tolist() for name in _HARMONIC)
-    return {
-        "constant": forcing.constant.tolist(),
-        "harmonics": [
-            dict(zip(_HARMONIC, each, strict=True)) for each in zip(*parts, strict=True)
-        ],
-        "sampled": table_of(samples, joints),
-        "hold": samples.hold,
-    }
+        return Forcing.none(len(joints))
+    forcing = Section("forcing", section.value("forcing"), forcing_keys.KEYS)
+    return forcing_keys.read_forcing(forcing, joints, folder, one_of_each(joints, urdf))

@@ -139,12 +139,15 @@ def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
     return numbers
 
 
-def table_of(samples: Samples, coordinates: Sequence[str]) -> Value:
-    """The value of ``sampled`` for ``samples``: CSV text, or lists for unusual names."""
+def written_samples(samples: Samples | None, coordinates: Sequence[str]) -> dict[str, Value]:
+    """The values of ``KEYS`` for ``samples``: CSV text, or lists for unusual names."""
+    if samples is None:
+        return {}
     plain = all(name.isprintable() and name == name.strip() for name in coordinates)
-    if _TIME in coordinates or not plain:
-        return {"time": samples.time.tolist(), "force": samples.force.tolist()}
-    return csv_text(np.column_stack([samples.time, samples.force]), coordinates)
+    table: Value = {"time": samples.time.tolist(), "force": samples.force.tolist()}
+    if plain and _TIME not in coordinates:
+        table = csv_text(np.column_stack([samples.time, samples.force]), coordinates)
+    return {"sampled": table, "hold": samples.hold}
 
 
 def csv_text(table: Matrix, columns: Sequence[str]) -> str:

@@ -32,6 +32,10 @@ CASES = {
         "the speed of a stop",
     ),
     "stops[0].restitution.speeds": (TEXT.replace("0.7}", TABLE + "}"), "a table of restitutions"),
+    "forcing.harmonics[0].order": (
+        read_model("two_mass").text().replace("- frequency", "- order: 1\n    frequency"),
+        "the drive",
+    ),
 }
 """By key: a model with it, and what the error calls it."""
 
