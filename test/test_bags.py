@@ -333,7 +333,7 @@ def test_a_node_fed_by_play_estimates_what_observe_does(
         truth = qos_profile(Quality())
         spinner.probe.create_subscription(JointState, "plant/joint_states", id, truth)
         topics = ["/impacts", "/plant/joint_states"]
-        play = ["play", str(bag), "--rate", "6", "--delay", "5", "--topics", *topics]
+        play = ["play", str(bag), "--rate", "6", "--topics", *topics]
         with running("impact_observer", play, ros_environment) as player:
             spinner.until(lambda: player.poll() is not None)
             assert player.returncode == 0, player.communicate()

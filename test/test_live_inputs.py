@@ -113,7 +113,7 @@ def test_node_estimates_what_observe_does_with_samples_that_come_late(
         probe.create_subscription(DiagnosticArray, "/diagnostics", diagnostics.append, many)
         spinner.until(lambda: "observer" in probe.get_node_names())
         probe.create_subscription(JointState, "plant/joint_states", id, many)
-        play = ["play", str(recorded), "--rate", "0.25", "--delay", "10", "--topics"]
+        play = ["play", str(recorded), "--rate", "0.25", "--topics"]
         topics = ["/impacts", "/plant/joint_states", "/forcing"]
         with running("impact_observer", [*play, *topics], ros_environment) as player:
             spinner.until(lambda: player.poll() is not None)

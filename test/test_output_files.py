@@ -20,7 +20,6 @@ from impact_observer.resources import shared
 MINE = "mine\n"
 BESIDE = {
     "identify": ["{bag}", "--free", "restitution", "--plot", "out.png"],
-    "check-model": ["two_mass", "{bag}", "--plot", "out.png"],
     "detect": [
         "{switch}",
         "--contact",

@@ -4,6 +4,7 @@
 import json
 import re
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -23,6 +24,15 @@ PATIENCE = 90.0
 """How long the live system may take, s."""
 LIVE = ("watch", "play", "record")
 """Commands that need ROS."""
+WATCH = """
+import json, sys
+from impact_observer.model import read_model
+from impact_observer.ros.watcher import Listener, watch
+
+system = read_model(sys.argv[1]).system if sys.argv[1:] else None
+watch(Listener(system), lambda view: print(json.dumps(view), flush=True))
+"""
+"""What ``watch`` shows, as lines; its argument is a model."""
 
 
 def needs_ros(step: Run) -> bool:
@@ -138,16 +148,17 @@ def watched(
         out, err = (stack.enter_context(each.open("w")) for each in (written, log))
 
         def start(step: Run, more: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
-            process = subprocess.Popen(
-                [*step.process, *more], env=environment, stdout=out, stderr=err
-            )
+            command = [*step.process, *more]
+            if step.words[:1] == ("watch",):
+                command = [sys.executable, "-c", WATCH, *step.words[2:]]
+            process = subprocess.Popen(command, env=environment, stdout=out, stderr=err)
             stack.callback(process.wait)
             stack.callback(process.kill)
             return process
 
         *others, last = live
         for step in others:
-            start(step, () if step.node else ("--json",))
+            start(step)
         nodes = sum(bool(step.node) for step in others)
         wait_until(lambda: log.read_text().count("; waits for") == nodes)
         wait_until(lambda: written.read_text().endswith("}\n"))

@@ -31,7 +31,7 @@ WITH_ROS = {
     "demo": ["--duration", "600", "--realtime-factor", "1", "-o", OUT + HOSTILE],
     "play": ["{bag}", "--loop"],
     "record": ["--topics", "/impacts", "-o", OUT + HOSTILE],
-    "watch": ["--json"],
+    "watch": [],
 }
 """The same of those that need ROS, for as long as a test wants."""
 

@@ -15,8 +15,6 @@ from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
 if TYPE_CHECKING:
     from impact_observer.io.tables import TableForm
 
-_OF_SENSORS_TOO = {"missed", "spurious", "mislabelled", "dead_time"}
-"""Options of observers that are faults of a simulated sensor by the same names."""
 _ELSEWHERE = ("law", "history", "ensemble")
 """Options that subcommands replace by own arguments, or that are of no use with a bag."""
 
@@ -26,49 +24,35 @@ _MOST_DIGITS, _DECIMALS = 18, 9
 
 
 def add_observer_arguments(
-    parser: "argparse._ActionsContainer", names: Collection[str] = (), *, simulated: bool = False
+    parser: "argparse._ActionsContainer", names: Collection[str] = (), *, initial_state: str = ""
 ) -> None:
     """Add the rows of ``OBSERVER_OPTIONS`` as arguments; ``observer_options`` reads them.
 
     Args:
         parser: of the subcommand, or a group of it.
         names: of the rows; none for all that change an estimate.
-        simulated: the command simulates: its sensor has options of the same names, its initial
-            state is random, and its epoch is that of the simulation.
+        initial_state: what ``--help`` calls the default of the initial state, if not the row's.
     """
-    defaults = {"clock_error": "-1: learned", "epoch": "as in the bag"}
-    if simulated:
-        defaults |= {"initial_state": "random, of each run"}
+    defaults = {
+        "clock_error": "-1: learned",
+        "epoch": "as in the bag",
+        "initial_state": initial_state,
+    }
     for each in OBSERVER_OPTIONS:
         if each.name not in names if names else each.name in _ELSEWHERE:
             continue
-        if simulated and each.name == "epoch":
-            continue
-        clash = simulated and each.name in _OF_SENSORS_TOO
-        add_option(
-            parser,
-            each,
-            flag=f"--observer{each.long_flag[1:]}" if clash else each.long_flag,
-            default=defaults.get(each.name),
-        )
+        add_option(parser, each, default=defaults.get(each.name, ""))
 
 
-def add_option(
-    parser: "argparse._ActionsContainer",
-    option: Option,
-    *,
-    flag: str = "",
-    default: str | None = None,
-) -> None:
+def add_option(parser: "argparse._ActionsContainer", option: Option, *, default: str = "") -> None:
     """Add one option as an argument; the value of an option that is not given is None.
 
     Args:
         parser: of the subcommand, or a group of it.
         option: the row.
-        flag: if not the row's own.
         default: what ``--help`` calls the default, if not the row's.
     """
-    flag = flag or option.long_flag
+    flag = option.long_flag
     if option.type == "bool":
         parser.add_argument(
             flag, dest=option.name, action="store_true", default=None, help=option.meaning
@@ -239,13 +223,6 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
     )
     parser.add_argument("--time-column", metavar="NAME", help=column)
     parser.add_argument(
-        "--skip-rows",
-        metavar="N",
-        type=seed,
-        default=0,
-        help="lines at the beginning that are not read (default: those above the header)",
-    )
-    parser.add_argument(
         "--frame-rate",
         metavar="HZ",
         type=rate,
@@ -260,6 +237,13 @@ def add_unusual_table(parser: "argparse._ActionsContainer") -> None:
         "--time-unit",
         choices=("s", "ms", "us", "ns", "min", "h"),
         help="of the times (default: that in the header, else s)",
+    )
+    parser.add_argument(
+        "--skip-rows",
+        metavar="N",
+        type=seed,
+        default=0,
+        help="lines at the beginning that are not read (default: those above the header)",
     )
     parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
     parser.add_argument(
@@ -292,11 +276,6 @@ def add_bag_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
     )
-
-
-def add_observers(parser: argparse.ArgumentParser, meaning: str) -> None:
-    """Add ``--observers``, some of those in a bag or a running system."""
-    parser.add_argument("--observers", metavar="NAME,...", type=names, help=meaning)
 
 
 def positive(text: str) -> float:

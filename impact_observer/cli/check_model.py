@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from impact_observer.observability.parameter_limit import ParameterLimit
     from impact_observer.observability.rank import Observability
 
-_OF_BAGS = ("measurements", "initial_deviation", "plot")
+_OF_BAGS = ("measurements", "initial_deviation")
 """Options that need a bag."""
 
 
@@ -34,25 +34,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", metavar="BAG", nargs="?", type=Path, help="a bag with impacts of this model")
     add_measurements(parser)
     add_observer_arguments(parser, ("initial_deviation",))
-    picture = "write singular values over time: PNG, SVG, PDF"
-    add("--plot", metavar="FILE", type=Path, help=picture)
-    parser.set_defaults(outputs=("plot",))
     add("--json", action="store_true", help="print the results as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Check a model, and ask what the impacts in a bag determine."""
-    from impact_observer.draw.pictures import save
     from impact_observer.draw.reports import print_table
     from impact_observer.model import read_model
-    from impact_observer.observability.rank_picture import rank_picture
     from impact_observer.observability.rank_report import for_json, print_observability
-    from impact_observer.output_files import check_output
 
     if args.bag is None and (given := [name for name in _OF_BAGS if getattr(args, name)]):
         raise UsageError(f"{given[0]}: given without a BAG, whose impacts it is about")
-    if args.plot is not None:
-        check_output(args.plot)
     read = read_model(args.model)
     results = _checked(read, as_json=args.json)
     if args.bag is not None:
@@ -65,13 +57,8 @@ def run(args: argparse.Namespace) -> int:
         if not args.json and limit is not None:
             say("")
             print_table(limit.table(read))
-        if args.plot is not None:
-            title = f"{read.system.name}: what the impacts determine of the initial state"
-            save(rank_picture(found, title=title), args.plot)
     if args.json:
         say(json.dumps(results, indent=2))
-    elif args.plot is not None:
-        say(f"picture: {args.plot}")
     return 0
 
 

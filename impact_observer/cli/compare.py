@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, TextIO
 from impact_observer.cli.arguments import (
     add_model,
     add_observer_arguments,
-    add_observers,
     add_part,
     installed_laws,
     observer_options,
@@ -49,16 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LAW,...",
         help="run observers with these laws on each bag, or with all that are installed",
     )
-    add_observer_arguments(parser, ("initial_state", "clock_error"))
+    add_observer_arguments(parser, ("initial_state",))
     add_model(parser, "a model file or a sample (default: the one in each bag)")
-    add_observers(
-        parser,
-        "compare only these, of the bag: names of observers, or topics of JointState or"
-        " ObserverState (default: all observers)",
-    )
-    parser.add_argument(
-        "--truth", metavar="TOPIC", help="of the true states (default: the plant's joint states)"
-    )
     parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write V over time to a PNG, SVG or PDF"
     )
@@ -107,7 +98,7 @@ def _check_source(args: argparse.Namespace) -> None:
         if not args.bags:
             raise UsageError("no bag named; expected BAG... or --figure MODEL")
         return
-    of_bags = ("bags", "model", "observers", "truth", "start")
+    of_bags = ("bags", "model", "start")
     if given := [name for name in of_bags if getattr(args, name)]:
         raise UsageError(f"--figure {args.figure}: simulates, and {given[0]} is of bags; omit one")
 
@@ -138,8 +129,7 @@ def _options(args: argparse.Namespace) -> "Sequence[Options]":
     if args.figure is not None:
         laws = installed_laws(LAWS if args.laws is None else args.laws)
         start = INITIAL if args.initial_state is None else args.initial_state
-        error = 0.0 if args.clock_error is None else args.clock_error
-        return options_of_laws(replace(given, initial_state=start, clock_error=error), laws)
+        return options_of_laws(replace(given, initial_state=start, clock_error=0.0), laws)
     laws = () if args.laws is None else installed_laws(args.laws)
     if not laws and given != observer_options(argparse.Namespace(), ""):
         raise UsageError("laws: none named, but how to run observers; name some with --laws")
@@ -168,7 +158,7 @@ def _compare_one(
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_comparison import compare_bag
     from impact_observer.io.bag_part import read_part
-    from impact_observer.io.reader import BagReader, named_topic
+    from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.observer import make_observer
     from impact_observer.robots.robot import simulated
@@ -176,7 +166,7 @@ def _compare_one(
     with BagReader(bag) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
         read = model_of(reader, args.model, comparing=not options)
-        truth = named_topic(reader, args.truth) if args.truth else reader.truth_topic()
+        truth = reader.truth_topic()
         tell = partial(say, file=sys.stderr if args.json else sys.stdout)
         read_part(reader, args.start, args.duration, [truth] if truth else [], tell=tell)
         if options and read.robot is not None:
@@ -190,8 +180,6 @@ def _compare_one(
             reader,
             simulated(read),
             observers,
-            truth=args.truth,
-            estimates=args.observers,
             progress=lambda what, done, total: progress.step(f"{bag}: {what}", done, total),
         )
     lines = sys.stderr if args.json else sys.stdout

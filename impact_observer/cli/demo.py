@@ -8,8 +8,7 @@ import argparse
 import time
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_option, positive
-from impact_observer.options import OBSERVER_OPTIONS
+from impact_observer.cli.arguments import positive
 from impact_observer.plain_text import say
 
 GOAL = 1e-2
@@ -18,7 +17,7 @@ RATE = 100.0
 """Of true states and estimates, Hz."""
 LAWS = ("geometric", "kinematic")
 INITIAL_STATE = "random:1"
-"""Of the observers, by default."""
+"""Of the observers."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,9 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=2.0,
         help="simulated seconds a second (default 2)",
     )
-    for each in OBSERVER_OPTIONS:
-        if each.name == "initial_state":
-            add_option(parser, each, default=INITIAL_STATE)
     parser.add_argument(
         "-o",
         "--output",
@@ -56,14 +52,11 @@ def run(args: argparse.Namespace) -> int:
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
-    from impact_observer.observer import initial_state
     from impact_observer.ros.session import require_ros
 
     require_ros()
     read = read_model(args.model)
     read.initial_state()
-    start = INITIAL_STATE if args.initial_state is None else args.initial_state
-    initial_state(start, read.system)
     from impact_observer.ros import demonstration
     from impact_observer.ros.wiring import DemoSetup
 
@@ -71,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     setup = DemoSetup(
         args.model,
         LAWS,
-        start,
+        INITIAL_STATE,
         args.duration,
         args.realtime_factor,
         RATE,

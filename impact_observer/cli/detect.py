@@ -35,9 +35,7 @@ if TYPE_CHECKING:
 _TEXTS = {
     "contact": "name of the contact in the model (default: the only one of --model)",
     "topic": "where its sensor publishes; of a signal, its column (default: the only one)",
-    "kind": "switch, peak or arrival (default: as the type of the topic says)",
     "field": "path in the message, such as wrench.force.z or data[3]",
-    "direction": "of peaks: both (default), up or down",
     "instant": "of peaks, what the stamp is of: top (default), or onset, the first top",
 }
 _NUMBERS = {
@@ -48,7 +46,6 @@ _NUMBERS = {
     "decay": "time constant of the ringing after a peak, s: a peak counts only if it is 1.5 times"
     " higher than what is left of the one before (default 0: any peak counts)",
     "latency": "constant latency, which is subtracted from the stamps, s; may be negative",
-    "min_contact_duration": "least closed time of a switch in persistent contact (default 0.05 s)",
 }
 
 

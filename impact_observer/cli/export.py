@@ -13,7 +13,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_part, stamp
+from impact_observer.cli.arguments import add_model, add_part
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.usage = (
         "%(prog)s BAG -o FILE [--what {states,errors,events} | --impacts] [--topics TOPIC ...] "
-        "[--model MODEL] [--epoch S] [--start S] [--duration S]"
+        "[--model MODEL] [--start S] [--duration S]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
@@ -57,12 +57,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="topics, or observers, only (default: all; of states with the truth)",
     )
     add_model(parser, "for V: a model file or a sample (default: the one in the bag)")
-    parser.add_argument(
-        "--epoch",
-        metavar="S",
-        type=stamp,
-        help="stamp of t = 0 (default: as in the events, else the first impact)",
-    )
     add_part(parser)
 
 
@@ -78,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         state_topics,
     )
     from impact_observer.compare.table_files import write_table
-    from impact_observer.io.bag_part import read_part, time_zero, topic_of_impacts
+    from impact_observer.io.bag_part import read_part, topic_of_impacts
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.robots.robot import simulated
@@ -91,18 +85,17 @@ def run(args: argparse.Namespace) -> int:
         else:
             chosen = named_impacts if args.what == IMPACTS else state_topics
             topics = chosen(reader, args.topics)
-        zero = partial(time_zero, epoch=args.epoch)
-        read_part(reader, args.start, args.duration, topics, zero=zero, tell=progress.line)
+        read_part(reader, args.start, args.duration, topics, tell=progress.line)
         show = partial(progress.step, f"exporting {args.bag.name}")
         if args.what == EVENTS:
-            blocks = event_rows(reader, args.epoch, show)
+            blocks = event_rows(reader, show)
         elif args.what == IMPACTS:
-            blocks = impact_rows(reader, args.topics, args.epoch, show)
+            blocks = impact_rows(reader, args.topics, show)
         elif args.what == ERRORS:
             system = simulated(model_of(reader, args.model))
-            blocks = error_rows(reader, system, args.topics, args.epoch, show)
+            blocks = error_rows(reader, system, args.topics, show)
         else:
-            blocks = state_rows(reader, args.topics, args.epoch, show)
+            blocks = state_rows(reader, args.topics, show)
         written = write_table(args.output, blocks)
         each = ", ".join(f"{count} of {topic}" for topic, count in written.items())
         progress.line(f"{args.output}: {written.total()} rows of {args.what}: {each}")

@@ -48,6 +48,7 @@ GONE = {
 }
 """What to use instead of the commands that went in 0.4.0."""
 _OBSERVE = "observe with the option, then compare with its bag"
+_ONE_RUN = "simulate and observe"
 _IN_SOURCES = "the keys of a sensor in the file of --sources"
 _IN_TABLE = "the key table in the file of --sources"
 GONE_OPTIONS = {
@@ -69,9 +70,16 @@ GONE_OPTIONS = {
     "detect --sort": _IN_TABLE,
     "detect --separator": _IN_TABLE,
     "detect --decimal": _IN_TABLE,
+    "detect --skip-rows": _IN_TABLE,
+    "detect --kind": _IN_SOURCES,
+    "detect --direction": _IN_SOURCES,
+    "detect --min-contact-duration": _IN_SOURCES,
     "detect --stamp": _IN_SOURCES,
     "detect --hysteresis": _IN_SOURCES,
     "detect --inverted": _IN_SOURCES,
+    "compare --observers": "a bag whose topics are /observer_NAME/joint_states",
+    "compare --truth": "a bag whose truth is /plant/joint_states",
+    "compare --clock-error": _OBSERVE,
     "compare --initial-deviation": _OBSERVE,
     "compare --clock-offset-error": _OBSERVE,
     "compare --missed": _OBSERVE,
@@ -95,6 +103,21 @@ GONE_OPTIONS = {
     "--tolerance": "the singular values of --json",
     "--measurement-noise": "the deviation in the file of --measurements",
     "sweep --epoch": "an epoch of 1 s",
+    "sweep --clock-offset-error": _ONE_RUN,
+    "sweep --observer-missed": _ONE_RUN,
+    "sweep --observer-spurious": _ONE_RUN,
+    "sweep --observer-mislabelled": _ONE_RUN,
+    "sweep --observer-dead-time": _ONE_RUN,
+    "sweep --estimate-parameters": _ONE_RUN,
+    "plot --observers": "a bag of one observer",
+    "export --epoch": "the column stamp_ns",
+    "simulate --epoch": "an epoch of 1 s",
+    "demo --initial-state": "random:1",
+    "check-model --plot": "--json",
+    "watch --json": "export of a recorded bag",
+    "watch --observers": "nothing; all are shown",
+    "record --use-sim-time": "the stamps of the headers",
+    "play --delay": "nothing; 5 s",
     "--flush": "nothing; a recorder writes to the disk every second",
     "--remap": "remappings of the nodes that listen",
 }

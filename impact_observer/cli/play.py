@@ -8,7 +8,7 @@ from pathlib import Path
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     # BAG comes first: behind --topics the bag would be taken for a topic.
-    parser.usage = "%(prog)s BAG [--rate R] [--loop] [--topics TOPIC ...] [--delay S]"
+    parser.usage = "%(prog)s BAG [--rate R] [--loop] [--topics TOPIC ...]"
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     add(
@@ -20,14 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--loop", action="store_true", help="start again at the end")
     add("--topics", metavar="TOPIC", nargs="+", help="play these topics only (default: all)")
-    add(
-        "--delay",
-        metavar="S",
-        type=float,
-        default=5.0,
-        help="wait up to S seconds for a subscriber to the events (without events: to every"
-        " topic) before the first message (default: 5)",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,7 +41,6 @@ def run(args: argparse.Namespace) -> int:
         count = play(
             args.bag,
             how,
-            delay=args.delay,
             on_progress=lambda player: progress.step(what, player.elapsed, player.length),
         )
         progress.line(f"{count} {'message' if count == 1 else 'messages'} played from {args.bag}")

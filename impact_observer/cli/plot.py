@@ -7,11 +7,7 @@ No truth is needed. A band is two standard deviations wide on either side.
 import argparse
 from pathlib import Path
 
-from impact_observer.cli.arguments import (
-    add_observers,
-    add_part,
-    names,
-)
+from impact_observer.cli.arguments import add_part, names
 from impact_observer.plain_text import say
 
 
@@ -25,7 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     select = "coordinates that are drawn (default: those that move most, at most eight)"
     add("--select", metavar="NAME,...", type=names, help=select)
     add_part(parser)
-    add_observers(parser, "draw only observers of these names (default: all in the bag)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,10 +35,9 @@ def run(args: argparse.Namespace) -> int:
 
     check_output(args.output)
     with BagReader(args.bag) as reader, Progress() as progress:
-        read_part(reader, args.start, args.duration, drawn_topics(reader, args.observers))
+        read_part(reader, args.start, args.duration, drawn_topics(reader))
         motion = read_motion(
             reader,
-            args.observers,
             lambda done, total: progress.step(f"reading {args.bag}", done, total),
         )
         chosen = chosen_coordinates(motion, args.select)

@@ -16,7 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="record these topics only (default: every topic that appears)",
     )
-    add("--use-sim-time", action="store_true", help="log times follow /clock")
     add("--duration", metavar="S", type=float, help="stop by itself after S seconds of wall time")
 
 
@@ -39,7 +38,6 @@ def run(args: argparse.Namespace) -> int:
         counts = record(
             args.output,
             args.topics,
-            use_sim_time=args.use_sim_time,
             duration=args.duration,
             on_topic=lambda topic, type_name: progress.line(f"recording {topic} [{type_name}]"),
             on_progress=show,

@@ -13,7 +13,6 @@ from impact_observer.cli.arguments import (
     add_option,
     positive,
     seed,
-    stamp,
 )
 from impact_observer.errors import UsageError
 from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
@@ -41,13 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw the plant's parameters from the deviations of the model; the bag has the model"
         " as declared, and the drawn values in its provenance",
     )
-    add(
-        "--epoch",
-        metavar="S",
-        type=stamp,
-        default=1_000_000_000,
-        help="stamp of t = 0 (default 1)",
-    )
     add_bag_output(parser)
     group = parser.add_argument_group("sensor", "its faults; none by default")
     for each in SENSOR_FAULTS:
@@ -74,12 +66,12 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.model import read_model
     from impact_observer.model.measurements_file import read_measurements
     from impact_observer.robots.robot import simulated
-    from impact_observer.stamps import from_seconds, grid, seconds_between
+    from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 
     check_free(args.output)
     given = {each.name: getattr(args, each.name) for each in SENSOR_FAULTS}
     sensor = plant.SensorModel(**{k: value for k, value in given.items() if value is not None})
-    model, epoch, duration = read_model(args.model), args.epoch, args.duration
+    model, epoch, duration = read_model(args.model), NS_PER_S, args.duration
     system = simulated(model)
     sensor.check(system, model.sensors)
     true = plant.RandomPlant(system, {})

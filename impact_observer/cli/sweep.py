@@ -36,6 +36,13 @@ if TYPE_CHECKING:
 
 SWEPT = tuple(each for each in SENSOR_FAULTS if each.name != "transport")
 """Faults that change estimates; the transport time changes none that is made of all events."""
+_OF_OBSERVERS = (
+    "initial_state",
+    "initial_deviation",
+    "clock_error",
+    "model_error",
+)
+"""Options of observers; the others have their defaults."""
 _SENSOR = "sensor_"
 """Prefix of a fault among the arguments: observers have options of the same names."""
 
@@ -67,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_measurements(parser)
     _add_swept_arguments(parser)
     group = parser.add_argument_group("observers", "the same for all of them")
-    add_observer_arguments(group, simulated=True)
+    add_observer_arguments(group, _OF_OBSERVERS, initial_state="random, of each run")
 
 
 def _add_swept_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,8 +10,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_model, add_observers, positive
-from impact_observer.plain_text import say
+from impact_observer.cli.arguments import add_model, positive
 
 if TYPE_CHECKING:
     from impact_observer.ros.watcher import View
@@ -20,15 +19,11 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add_model(parser, "for V (default: the model that the plant publishes)")
-    add_observers(parser, "show only these, by name (default: all that appear)")
     parser.add_argument("--duration", metavar="S", type=positive, help="end after S seconds")
-    parser.add_argument("--json", action="store_true", help="print lines of JSON, four a second")
 
 
 def run(args: argparse.Namespace) -> int:
     """Watch; the exit code is 1 if no observer was there until the end of --duration."""
-    import json
-
     from rich.console import Console
     from rich.live import Live
 
@@ -40,16 +35,12 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.ros.watcher import Listener, table, watch
 
     system = None if args.model is None else simulated(read_model(args.model))
-    listener = Listener(args.observers, system)
+    listener = Listener(system)
     duration = math.inf if args.duration is None else args.duration
-    if args.json:
-        last = watch(listener, lambda view: say(json.dumps(view)), duration)
-    else:
-        console = Console(highlight=False)
-        with Live(console=console, auto_refresh=False) as live:
+    with Live(console=Console(highlight=False), auto_refresh=False) as live:
 
-            def show(view: "View") -> None:
-                live.update(table(view), refresh=True)
+        def show(view: "View") -> None:
+            live.update(table(view), refresh=True)
 
-            last = watch(listener, show, duration)
+        last = watch(listener, show, duration)
     return int(args.duration is not None and not last["observers"])

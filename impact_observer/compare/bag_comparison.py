@@ -18,7 +18,7 @@ from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import TimeZero, time_zero
 from impact_observer.io.pairing import Samples, sample_type, samples_of
-from impact_observer.io.reader import BagReader, named_states, named_topic
+from impact_observer.io.reader import BagReader, states_of
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates, deviations_in
 from impact_observer.model import System
@@ -51,8 +51,6 @@ def compare_bag(
     system: System | Robot,
     observers: Sequence[Observer] = (),
     *,
-    truth: str | None = None,
-    estimates: Sequence[str] | None = None,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
     """Compare the observers in a bag, and others that are run on its events, with the truth.
@@ -61,19 +59,19 @@ def compare_bag(
         reader: the bag.
         system: gives V.
         observers: to run on the bag, one a law; they have received nothing yet.
-        truth: the topic of the plant's true states; None for the only one in the bag.
-        estimates: observers' prefixes, or topics of states; None for every observer.
         progress: receives the name of the work, the amount done, and the whole amount.
 
     Raises:
-        UsageError: a named topic is not in the bag.
         BagError: the bag has no truth, no estimate, or no stamp that both have, or an observer
             could not apply any of its events.
-        ImpactLawError, DynamicsError, UsageError: an observer cannot follow the events.
+        ImpactLawError, DynamicsError: an observer cannot follow the events.
     """
-    true_topic = _truth_topic(reader, truth)
-    names = reader.observers() if estimates is None else [f"/{e.strip('/')}" for e in estimates]
-    topics = {name: named_states(reader, name) for name in names}
+    true_topic = reader.truth_topic()
+    if true_topic is None:
+        raise UnfitBagError(
+            f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
+        )
+    topics = {name: states_of(reader, name) for name in reader.observers()}
     if not topics and not observers:
         advice = "make them with observe"
         advice += (
@@ -168,16 +166,6 @@ def states_of_topics(
         progress(done, total)
     nothing = np.empty(0, sample_type(2 * system.n, has_deviations=has_deviations))
     return laws, {topic: np.concatenate([nothing, *read]) for topic, read in blocks.items()}
-
-
-def _truth_topic(reader: BagReader, named: str | None) -> str:
-    if named is not None:
-        return named_topic(reader, named)
-    if (topic := reader.truth_topic()) is None:
-        raise UnfitBagError(
-            f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
-        )
-    return topic
 
 
 def _samples(block: JointStates, *, has_deviations: bool) -> Samples:

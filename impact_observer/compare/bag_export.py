@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The states, errors, events or impacts of a bag as rows of a table, block by block.
 
-In all functions ``epoch`` is the stamp of ``t = 0``, ns. If None, ``t = 0`` is that of
-``time_zero``. ``topics`` are topics of states, or observers' prefixes; None
-means all.
+``topics`` are topics of states, or observers' prefixes; None means all. Seconds count from
+``time_zero``.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -39,7 +38,7 @@ Progress: TypeAlias = Callable[[int, int], None]
 
 
 def state_rows(
-    reader: BagReader, topics: Collection[str] | None, epoch: int | None, progress: Progress
+    reader: BagReader, topics: Collection[str] | None, progress: Progress
 ) -> Iterator[TableBlock]:
     """The true states and the estimates, in the order of the bag.
 
@@ -53,7 +52,7 @@ def state_rows(
     first = first_block(reader, chosen)
     if first is None:
         raise UnfitBagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
-    zero = time_zero(reader, epoch)
+    zero = time_zero(reader)
     done, total = 0, sum(reader.topics[topic].count for topic in chosen)
     with_deviations = any(_has_covariance(reader, topic) for topic in chosen)
     for topic, block in reader.blocks(chosen, first.names, covariance=with_deviations):
@@ -71,7 +70,6 @@ def error_rows(
     reader: BagReader,
     system: System | Robot,
     topics: Collection[str] | None,
-    epoch: int | None,
     progress: Progress,
 ) -> Iterator[TableBlock]:
     """Estimate minus truth, and V, at the stamps that both have.
@@ -89,7 +87,7 @@ def error_rows(
     chosen = [topic for topic in state_topics(reader, topics) if topic != truth]
     if not chosen:
         raise UnfitBagError(f"{reader.path}: has no estimates; make them with observe")
-    zero = time_zero(reader, epoch)
+    zero = time_zero(reader)
     events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
     laws, states = states_of_topics(reader, system, [truth, *chosen], progress)
     for topic in chosen:
@@ -104,7 +102,7 @@ def error_rows(
         yield TableBlock(topic, zero, compared.stamps, words, {"V": compared.V, **errors})
 
 
-def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iterator[TableBlock]:
+def event_rows(reader: BagReader, progress: Progress) -> Iterator[TableBlock]:
     """The events, a row for each contact that switches; ``import`` reads them again.
 
     Raises:
@@ -113,7 +111,7 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
     events = events_in(reader)
     if not events:
         raise UnfitBagError(f"{reader.path}: has no events to export")
-    zero = time_zero(reader, epoch)
+    zero = time_zero(reader)
     rows = [(event, switch) for event in events for switch in event.switches]
     words = {
         "contact": [switch.contact for _, switch in rows],
@@ -129,7 +127,7 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
 
 
 def impact_rows(
-    reader: BagReader, topics: Collection[str] | None, epoch: int | None, progress: Progress
+    reader: BagReader, topics: Collection[str] | None, progress: Progress
 ) -> Iterator[TableBlock]:
     """The estimates of impacts, each number followed by its standard deviation, in SI units.
 
@@ -139,7 +137,7 @@ def impact_rows(
         UsageError: a topic is not in the bag.
         BagError: there are no estimates of impacts, or the bag is damaged.
     """
-    chosen, zero = named_impacts(reader, topics), time_zero(reader, epoch)
+    chosen, zero = named_impacts(reader, topics), time_zero(reader)
     for done, topic in enumerate(chosen, start=1):
         rows = [*reader.impact_estimates(topic)]
         values, deviations = np.reshape([each[4:] for each in rows], (-1, 2, 4)).swapaxes(0, 1)

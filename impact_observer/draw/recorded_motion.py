@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from impact_observer.errors import ModelError, UnfitBagError, UsageError
+from impact_observer.errors import ModelError, UnfitBagError
 from impact_observer.events import ImpactEvent, Kind, Ruling, final_rulings
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import TimeZero, time_zero
@@ -71,29 +71,15 @@ class RecordedMotion:
         return min(at), max(at)
 
 
-def drawn_topics(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str]:
-    """The observers' prefixes by the topics of their states; the prefix of the truth is empty.
-
-    Args:
-        reader: the bag.
-        observers: names of observers; None for all.
-
-    Raises:
-        UsageError: an observer is not in the bag.
-    """
-    present, truth = reader.observers(), reader.truth_topic()
-    wanted = present if observers is None else [f"/{each.lstrip('/')}" for each in observers]
-    for each in wanted:
-        if each not in present:
-            there = ", ".join(present) or "none"
-            raise UsageError(f"observer {each}: not in {reader.path}; it has {there}")
+def drawn_topics(reader: BagReader) -> dict[str, str]:
+    """The observers' prefixes by the topics of their states; the prefix of the truth is empty."""
+    truth = reader.truth_topic()
     own = {} if truth is None else {truth: ""}
-    return own | {states_of(reader, prefix): prefix for prefix in wanted}
+    return own | {states_of(reader, prefix): prefix for prefix in reader.observers()}
 
 
 def read_motion(
     reader: BagReader,
-    observers: Sequence[str] | None = None,
     progress: Callable[[int, int], object] = lambda _done, _all: None,
 ) -> RecordedMotion:
     """Read the motion in a bag, without a truth too.
@@ -102,14 +88,12 @@ def read_motion(
 
     Args:
         reader: the bag.
-        observers: names of observers; None for all.
         progress: called with the number of states read, and of all.
 
     Raises:
-        UsageError: an observer is not in the bag.
         BagError: the bag has no states, or is damaged.
     """
-    topics = drawn_topics(reader, observers)
+    topics = drawn_topics(reader)
     first = first_block(reader, topics)
     if first is None:
         raise UnfitBagError(

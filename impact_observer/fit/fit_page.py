@@ -154,7 +154,7 @@ def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list
     """Write table and picture; return the estimates of impacts."""
     system = fit.model.system
     with BagReader(folder / "smoothed") as reader:
-        write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], None, _silent))
+        write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], _silent))
         hits = impact_estimates(reader)[_IMPACTS]
         zero = time_zero(reader).stamp
         blocks = [

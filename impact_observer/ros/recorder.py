@@ -36,8 +36,8 @@ class Recorder:
     """Writes the messages of topics, as serialized, to a bag while its node is spun.
 
     A topic is subscribed to when its first publisher appears, with the quality of service that
-    all its publishers offer, so that latched messages and earlier events are recorded too. The
-    log time is the node's clock, which may be simulated; log times never go back.
+    all its publishers offer, so that latched messages and earlier events are recorded too. Log
+    times never go back.
 
     Attributes:
         counts: messages recorded, by topic; 0 for a topic without messages so far.
@@ -68,7 +68,6 @@ class Recorder:
         self._requested: dict[str, Quality | None] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._last = 0
-        self._waiting: list[tuple[str, bytes]] = []
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timers = [
             node.create_timer(_DISCOVERY_PERIOD, self._discover, clock=steady),
@@ -87,8 +86,6 @@ class Recorder:
 
     def close(self) -> None:
         """Unsubscribe from everything."""
-        if self._waiting:
-            self._warn(f"{len(self._waiting)} messages are not recorded: /clock never ran")
         for timer in self._timers:
             self._node.destroy_timer(timer)
         for subscription in self._subscriptions.values():
@@ -147,22 +144,16 @@ class Recorder:
             )
 
     def _write(self, topic: str, data: bytes) -> None:
-        """Write a message; before simulated time runs, messages wait for its first instant."""
-        self._waiting.append((topic, data))
-        if (now := self._node.get_clock().now().nanoseconds) == 0:
-            return
-        self._last = max(self._last, now)
-        for name, message in self._waiting:
-            self._writer.write_raw(name, self._last, message)
-            self.counts[name] += 1
-        self._waiting.clear()
+        """Write a message."""
+        self._last = max(self._last, self._node.get_clock().now().nanoseconds)
+        self._writer.write_raw(topic, self._last, data)
+        self.counts[topic] += 1
 
 
 def record(
     path: Path | str,
     topics: Collection[str] | None = None,
     *,
-    use_sim_time: bool = False,
     duration: float | None = None,
     on_topic: Callable[[str, str], object] = lambda _topic, _type: None,
     on_progress: Callable[[int, float], object] = lambda _count, _passed: None,
@@ -174,7 +165,6 @@ def record(
     Args:
         path: the folder to create.
         topics: only these topics; None for every topic that appears.
-        use_sim_time: whether log times follow ``/clock``.
         duration: how long, s of wall time; None for until a signal.
         on_topic: called with name and type of each topic that is recorded.
         on_progress: called with the number of messages and the seconds passed, about ten times
@@ -190,7 +180,7 @@ def record(
     """
     if duration is not None and not 0 < duration < float("inf"):
         raise UsageError(f"duration is {duration}; expected a positive number of seconds")
-    with Stop() as stop, ros_node("recorder", use_sim_time=use_sim_time) as (node, executor):
+    with Stop() as stop, ros_node("recorder") as (node, executor):
         for topic in topics or ():
             resolved(node, topic)  # before the bag is made
         with BagWriter(path) as writer:

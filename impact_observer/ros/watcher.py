@@ -4,7 +4,7 @@
 import math
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -35,9 +35,14 @@ from impact_observer.stamps import seconds_between
 from impact_observer.states import Estimate
 
 View: TypeAlias = dict[str, Any]
-"""Everything at one moment, as ``--json`` prints it; SI units, None for what is not known."""
-_OF_OBSERVERS = (interfaces.OBSERVER_STATES, interfaces.OBSERVER_VERDICTS)
-_OF_PLANTS = (interfaces.IMPACTS, interfaces.PLANT_MODEL, interfaces.PLANT_JOINT_STATES)
+"""Everything at one moment; SI units, None for what is not known."""
+_WATCHED = (
+    interfaces.OBSERVER_STATES,
+    interfaces.OBSERVER_VERDICTS,
+    interfaces.IMPACTS,
+    interfaces.PLANT_MODEL,
+    interfaces.PLANT_JOINT_STATES,
+)
 _KEPT = 2000
 """Messages of a topic that may wait, and states kept to find the truth of an estimate's stamp."""
 _SHOWN = 6
@@ -49,16 +54,12 @@ _PERIOD = 0.25
 class Listener:
     """Keeps the last messages of plants and observers; those of one namespace belong together."""
 
-    def __init__(
-        self, observers: Collection[str] | None = None, system: System | Robot | None = None
-    ) -> None:
-        """Listen to all observers, or to those of some names.
+    def __init__(self, system: System | Robot | None = None) -> None:
+        """Listen to all plants and observers.
 
         Args:
-            observers: names of nodes, absolute or relative; None for all.
             system: gives V; None for the model that the plant publishes.
         """
-        self._wanted = None if observers is None else {f"/{each.strip('/')}" for each in observers}
         self._system, self._systems = system, dict[str, System | Robot]()
         self._truths = defaultdict[str, dict[int, JointState]](dict)
         self._estimates = defaultdict[str, dict[int, tuple[tuple[str, ...], Estimate]]](dict)
@@ -68,11 +69,8 @@ class Listener:
 
     def wants(self, topic: str, type_name: str) -> bool:
         """Whether the messages of a topic are used."""
-        kind, owner = interface(topic), topic.rpartition("/")[0]
-        if kind is None or kind.type != type_name:
-            return False
-        own = self._wanted is None or owner in self._wanted
-        return kind in _OF_PLANTS or (kind in _OF_OBSERVERS and own)
+        kind = interface(topic)
+        return kind is not None and kind in _WATCHED and kind.type == type_name
 
     def receive(self, topic: str, message: AnyMessage) -> None:
         """Take in a message of a wanted topic; one without sense is a warning."""

@@ -140,20 +140,6 @@ def test_declared_deviations_stand_beside_exact_parameters(
     assert np.all(deviations["declared"] < 0.1)
 
 
-@pytest.mark.parametrize(
-    "ending", ["png", *(pytest.param(each, marks=pytest.mark.slow) for each in ("svg", "pdf"))]
-)
-def test_picture_is_written(
-    tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The command prints the name of the picture."""
-    picture = tmp_path / f"rank.{ending}"
-    assert printed(capsys, "two_mass", TWO_MASS, "--plot", str(picture)).endswith(
-        f"picture: {picture}"
-    )
-    assert picture.stat().st_size > 5000
-
-
 def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,9 +156,7 @@ def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
     ("words", "said"),
     [
         (["two_mass", "BAG", "--initial-deviation", "1,2"], "expected one number"),
-        (["two_mass", "BAG", "--plot", "rank.txt"], "rank.txt"),
-        (["two_mass", "--plot", "rank.png"], "plot: given without a BAG"),
-        (["two_mass", "--plot", "a.png"], "plot: given without a BAG"),
+        (["two_mass", "--initial-deviation", "1"], "initial_deviation: given without a BAG"),
         (["hammer_arm", "BAG"], "hammer_arm: a robot"),
     ],
 )

@@ -91,7 +91,6 @@ def test_what_cannot_be_simulated_is_one_line(
         "no bag named": (),
         "bags is of bags": ("bag", "--figure", "two_mass"),
         "start is of bags": ("--figure", "two_mass", "--start", "1"),
-        "observers is of bags": ("--figure", "two_mass", "--observers", "a"),
     }
     for said, arguments in wrong.items():
         assert main(["compare", *arguments]) == 2

@@ -73,24 +73,6 @@ def test_laws_are_compared_beside_the_estimates_in_the_bag(
     assert found["geometric"]["V_start"] != found["geometric /observer"]["V_start"]
 
 
-@pytest.mark.slow
-def test_laws_receive_the_uncertainty_that_is_declared(
-    plant_bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The clock error changes the estimate of minimum-variance, not that of geometric."""
-    arguments = [
-        str(plant_bag),
-        "--laws",
-        "geometric,minimum-variance",
-        "--initial-state",
-        "random:1",
-    ]
-    exact = compared(capsys, *arguments)
-    careful = compared(capsys, *arguments, "--clock-error", "0.001")
-    assert careful["geometric"] == exact["geometric"]
-    assert careful["minimum-variance"]["V_end"] != exact["minimum-variance"]["V_end"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [

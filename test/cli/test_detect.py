@@ -230,8 +230,10 @@ def test_impacts_of_the_bag_make_way_for_those_that_are_found(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Any message may be an impact: here each true state outside the dead time is one."""
-    given = ["--contact", "stop", "--topic", "/plant/joint_states", "--kind", "arrival"]
-    events = detected(sample_bag, tmp_path / "out", *given, "--dead-time", "0.1")
+    sources = tmp_path / "sources.yaml"
+    sensor = "{contact: stop, topic: /plant/joint_states, kind: arrival, dead_time: 0.1}"
+    sources.write_text(f"sources: [{sensor}]", encoding="utf-8")
+    events = detected(sample_bag, tmp_path / "out", "--sources", str(sources))
     assert [(e.stamp - EPOCH) // MS for e in events] == [0, 100, 200, 300, 400, 500]
     assert " messages on /impacts are left out for the impacts found" in capsys.readouterr().out
     with BagReader(tmp_path / "out") as reader:

@@ -78,7 +78,7 @@ def test_a_mistake_in_a_model_is_one_line_and_exit_code_2(
         (["simulate", "two_mass"], "-o/--output"),
         (["simulate", "two_mass", "-o", "x", "--duration", "-1"], "above 0"),
         (["simulate", "two_mass", "-o", "x", "--rate", "nan"], "expected a number"),
-        (["simulate", "two_mass", "-o", "x", "--epoch", "0"], "above zero"),
+        (["detect", "bag", "-o", "x", "--epoch", "0"], "above zero"),
         (["simulate", "two_mass", "-o", "x", "--seed", "1.5"], "whole number"),
         (
             ["simulate", "two_mass", "-o", "x", "--jiter", "0.1"],

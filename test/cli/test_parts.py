@@ -127,7 +127,10 @@ def test_impacts_detected_in_a_part_are_numbered_from_two(
     hits = (0.503, 1.303, 1.903, 2.353)
     rows = [f"{k / 1000},{int(any(0 <= k / 1000 - h < 0.01 for h in hits))}" for k in range(3000)]
     signal.write_text("time,closed\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    given = ["detect", str(signal), "--contact", "stop", "--kind", "switch", "--threshold", "0.5"]
+    sources = tmp_path / "sources.yaml"
+    declared = "sources: [{contact: stop, topic: /closed, kind: switch, threshold: 0.5}]"
+    sources.write_text(declared, encoding="utf-8")
+    given = ["detect", str(signal), "--sources", str(sources)]
     assert main([*given, "--start", "1", "--duration", "1", "-o", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "1001 rows in 1 s" in printed

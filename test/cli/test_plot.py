@@ -31,7 +31,6 @@ def test_ending_says_what_is_made(
         (["-o", "a.gif"], "a.gif"),
         (["-o", "nowhere/a.png"], "nowhere; make it first"),
         (["-o", "a.svg", "--select", "x9"], "--select x9: "),
-        (["-o", "a.svg", "--observers", "nobody"], "observer /nobody: not in"),
         (["-o", "a.svg", "--start", "99"], "from 99 s to the end after the epoch"),
     ],
 )

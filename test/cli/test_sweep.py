@@ -52,15 +52,8 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_options_of_observers_that_have_the_name_of_a_fault_have_a_flag_of_their_own(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The flags are those of docs/compare.md; an epoch is in seconds, also in an error."""
-    with pytest.raises(SystemExit):
-        main(["sweep", "--help"])
-    said = capsys.readouterr().out
-    for name in ("missed", "spurious", "mislabelled", "dead-time"):
-        assert f"--observer-{name} " in said
+def test_a_stamp_that_no_message_holds_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """An epoch is in seconds, also in an error."""
     with pytest.raises(SystemExit):
         main(["observe", "bag", "-o", "out", "--epoch", "5000000000"])
     assert "5000000000 found; expected 0 to 2147483647.999999999 s" in capsys.readouterr().err

@@ -33,7 +33,6 @@ from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.measurement import Measurement
 from impact_observer.observability.rank import Observability, observability
-from impact_observer.observability.rank_picture import rank_picture
 from impact_observer.observability.rank_rows import RankRows
 from impact_observer.observer.episode import last_episode
 from impact_observer.observer.samples import SensorSample
@@ -464,30 +463,13 @@ def test_options_that_cannot_be_used_are_refused(options: dict[str, float], word
         observability(DECOUPLED, [event(1.0, "c1")], **options)  # type: ignore[arg-type]
 
 
-def test_picture_shows_values_above_the_tolerance() -> None:
-    """Lines begin where the rank has risen; there is one for the tolerance, and marks."""
-    hits = [(0.4, 0), (0.5, 0), (0.9, 0)]
-    found = observability(DECOUPLED, impacts_of(DECOUPLED, hits))
-    upper, lower = rank_picture(found, title="title").axes
-    labels = [text.get_text() for text in upper.get_legend().get_texts()]  # type: ignore[union-attr]
-    assert labels == ["largest", "number 2", "tolerance", "impacts at c1"]
-    _, second, third, *_ = (np.asarray(line.get_ydata(), dtype=float) for line in upper.lines)
-    np.testing.assert_array_equal(np.isnan(second), [True, False, False])
-    assert np.isnan(third).all()
-    assert upper.get_yscale() == "log"
-    np.testing.assert_array_equal(lower.lines[0].get_ydata(), [0, 1, 2, 2])
-    assert lower.get_xlabel() == "time since the start [s]"
-
-
 def test_states_that_move_no_gap_have_rank_zero() -> None:
-    """Rank 0 and finite figures, in the picture too."""
+    """Rank 0 and finite figures."""
     found = observability(DECOUPLED, [event(1.0, "c1")], deviation=np.array([0.0, 1.0, 0.0, 1.0]))
     assert found.rank[-1] == 0
     np.testing.assert_allclose(found.singular, 0.0, atol=1e-300)
     np.testing.assert_array_equal(found.undetermined, [[0, 1, 0, 0], [0, 0, 0, 1]])
     assert found.determined == ()
-    low, high = rank_picture(found, title="title").axes[0].get_ylim()
-    assert 0 < low < high < np.inf
 
 
 def test_samples_add_rows_like_gaps() -> None:

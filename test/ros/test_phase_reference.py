@@ -67,7 +67,7 @@ def test_observer_node_estimates_what_observe_does_under_a_drive(
         probe = spinner.probe
         probe.create_subscription(ObserverState, "observer/state", states.append, MANY)
         spinner.until(lambda: "observer" in probe.get_node_names())
-        play = ["play", str(recorded), "--rate", "4", "--delay", "5", "--topics"]
+        play = ["play", str(recorded), "--rate", "4", "--topics"]
         topics = ["/impacts", "/phase_reference"]
         with running("impact_observer", [*play, *topics], ros_environment) as player:
             spinner.until(lambda: player.poll() is not None)

@@ -72,14 +72,11 @@ def spin_until(executor: "SingleThreadedExecutor", done: Callable[[], bool]) -> 
 
 @contextmanager
 def recording(
-    path: Path,
-    topics: list[str] | None = None,
-    *,
-    use_sim_time: bool = False,
+    path: Path, topics: list[str] | None = None
 ) -> Iterator[tuple[Recorder, "SingleThreadedExecutor"]]:
     """A recorder in this process."""
     with (
-        ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
+        ros_node("recorder") as (node, executor),
         BagWriter(path) as writer,
     ):
         recorder = Recorder(node, writer, topics)
@@ -273,59 +270,6 @@ def messages_on_disk(file: Path) -> list[int]:
             if isinstance(each, Message) and each.channel_id in impacts:
                 found.append(each.log_time)
     return found
-
-
-def test_log_times_follow_the_simulated_clock_and_never_go_back(
-    tmp_path: Path, ros_environment: dict[str, str]
-) -> None:
-    """Messages before the clock runs are recorded at its first instant."""
-    assert ros_environment
-    with (
-        ros_node("plant") as (plant, _),
-        recording(tmp_path / "bag", ["/impacts"], use_sim_time=True) as (recorder, executor),
-    ):
-        clock, impacts = advertise(plant, "/clock"), advertise(plant, "/impacts")
-        impacts.publish(event(1))
-        for _ in range(20):
-            executor.spin_once(timeout_sec=0.02)
-        assert recorder.counts == {"/impacts": 0}
-        spin_until(executor, lambda: clock.get_subscription_count() > 0)
-        for count, now in (
-            (2, 5_000_000_000),
-            (3, 7_000_000_000),
-            (4, 2_000_000_000),
-            (5, 7_000_000_001),
-        ):
-            clock.publish(MAKE.clock(now))
-            latest = time.monotonic() + 0.3
-            spin_until(executor, lambda latest=latest: time.monotonic() > latest)  # type: ignore[misc]
-            impacts.publish(event(count))
-            spin_until(executor, lambda count=count: recorder.counts["/impacts"] == count)  # type: ignore[misc]
-    with BagReader(tmp_path / "bag") as bag:
-        assert [each.log_time for each in bag.raw()] == [
-            5_000_000_000,
-            5_000_000_000,
-            7_000_000_000,
-            7_000_000_000,
-            7_000_000_001,
-        ]
-
-
-def test_messages_that_waited_in_vain_for_a_clock_are_a_warning(
-    tmp_path: Path, ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
-) -> None:
-    """The warning says how many messages the bag lacks."""
-    assert ros_environment
-    with (
-        ros_node("plant") as (plant, _),
-        recording(tmp_path / "bag", ["/impacts"], use_sim_time=True) as (recorder, executor),
-    ):
-        impacts = advertise(plant, "/impacts")
-        spin_until(executor, lambda: recorder.is_connected("/impacts"))
-        impacts.publish(event(1))
-        latest = time.monotonic() + 1
-        spin_until(executor, lambda: time.monotonic() > latest)
-    assert "1 messages are not recorded: /clock never ran" in capfd.readouterr().err
 
 
 def test_foreign_type_is_recorded_with_its_installed_definition(

@@ -111,7 +111,7 @@ def test_v_of_a_robot_has_the_mass_at_the_true_position_and_no_turns() -> None:
 
 def test_verdicts_are_counted_and_words_of_strangers_are_escaped() -> None:
     """The last ones are shown first; one that revises another is not counted again."""
-    listener = Listener(["rig/observer"])
+    listener = Listener()
     listener.receive("/rig/observer/state", estimate(EPOCH, 0.0))
     for k, ruling in enumerate((Ruling.APPLIED, Ruling.APPLIED, Ruling.REJECTED)):
         reason = f"{REVISED}\x1b]0;why" if k == 2 else ""
@@ -124,7 +124,6 @@ def test_verdicts_are_counted_and_words_of_strangers_are_escaped() -> None:
     assert "\\x1b[2Jstop rejected revised: \\x1b]0;why" in shown(view)
     kind = "impact_observer_msgs/msg/ObserverState"
     assert listener.wants("/rig/observer/state", kind)
-    assert not listener.wants("/observer/state", kind)
     assert not listener.wants("/rig/observer/state", "std_msgs/msg/String")
 
 
