@@ -53,6 +53,7 @@ from impact_observer.ros.topics import (
     ros_messages,
     waiting_messages,
 )
+from impact_observer.stamps import NS_PER_S, from_seconds
 
 MOST_TOGETHER = 200
 """Messages that one call of a callback takes at most: then timers and services have their turn."""
@@ -489,24 +490,36 @@ def without_numbers(line: str) -> str:
     return re.sub(r"-?\d+(\.\d+)?(e[+-]?\d+)?", "N", line)
 
 
-class AheadOfClock(Generic[_Item]):
-    """Items whose stamps are too far ahead of the clock, until the clock is near: it may be late.
+class ClockGate(Generic[_Item]):
+    """Items stamped too far ahead of a clock wait until the clock is near: it may be late."""
 
-    Items are in the order of their stamps; items of one stamp in the order of arrival.
-    """
+    def __init__(self, now: Callable[[], int], future: float, most: int) -> None:
+        """Let at most ``most`` items wait, those with the least stamps.
 
-    def __init__(self, most: int) -> None:
-        """Keep at most ``most`` items: those with the least stamps."""
-        self._most = most
+        Args:
+            now: time of the clock, ns; 0 while there is none.
+            future: how far ahead of the clock a stamp may be, s.
+            most: items that wait.
+        """
+        self._now, self._future, self._most = now, from_seconds(future), most
         self._items: list[tuple[int, int, _Item]] = []
         self._number = 0
 
     def __len__(self) -> int:
-        """Number of items that are kept."""
+        """Number of items that wait."""
         return len(self._items)
 
+    def reason(self, stamp: int, what: str = "stamped") -> str:
+        """Why an item with a ``stamp`` (ns) has to wait; empty if it has not."""
+        if not (now := self._now()):
+            return "no /clock has come, by which to judge its stamp; it is taken then"
+        if (ahead := stamp - now) <= self._future:
+            return ""
+        most = f"future allows {self._future / NS_PER_S:g} s, and it waits"
+        return f"{what} {ahead / NS_PER_S:.3f} s after the clock; {most}"
+
     def keep(self, stamp: int, item: _Item) -> _Item | None:
-        """Keep ``item`` for ``stamp`` (ns).
+        """Let ``item`` wait for ``stamp`` (ns).
 
         Returns:
             The item with the largest stamp if there is no room for it; else None.
@@ -515,11 +528,10 @@ class AheadOfClock(Generic[_Item]):
         insort(self._items, (stamp, self._number, item))
         return self._items.pop()[2] if len(self._items) > self._most else None
 
-    def take_next(self, latest: int) -> _Item | None:
-        """Remove and return the first item if its stamp is at most ``latest`` (ns); else None."""
-        if self._items and self._items[0][0] <= latest:
-            return self._items.pop(0)[2]
-        return None
+    def near(self) -> Iterator[_Item]:
+        """Yields the items that need not wait any more, by stamp, then in order of arrival."""
+        while self._items and not self.reason(self._items[0][0]):
+            yield self._items.pop(0)[2]
 
     def clear(self) -> None:
         """Forget all items."""

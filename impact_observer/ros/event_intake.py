@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
 from impact_observer.io.messages import AnyMessage, MessageError, read_event
 from impact_observer.observer import Observer
-from impact_observer.ros.base_node import AheadOfClock
+from impact_observer.ros.base_node import ClockGate
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000
@@ -62,24 +62,23 @@ class EventIntake:
         self,
         observer: Observer,
         now: Callable[[], int],
-        future: int,
+        future: float,
         counts: Counter[str],
     ) -> None:
-        """Apply events to ``observer`` that are at most ``future`` (ns) ahead of ``now()`` (ns).
+        """Apply events to ``observer`` that are at most ``future`` (s) ahead of ``now()`` (ns).
 
         Args:
             observer: takes the events.
             now: time of the node's clock, ns; 0 while there is none.
-            future: how far ahead of the clock a stamp may be, ns.
+            future: how far ahead of the clock a stamp may be, s.
             counts: counter to add to.
         """
         self._observer = observer
-        self._now, self._future = now, future
         self.counts = counts
         self._waiting: deque[WaitingEvent] = deque()
         self._come, self._stride = 0, 1
         self._batch: list[WaitingEvent] = []
-        self._ahead = AheadOfClock[ImpactEvent](MOST_WAITING)
+        self._ahead = ClockGate[ImpactEvent](now, future, MOST_WAITING)
         self._refused: deque[Judged] = deque()
         self._work: Iterator[Judged | None] | None = None
 
@@ -118,10 +117,12 @@ class EventIntake:
         except MessageError as error:
             self.counts["invalid"] += 1
             return str(error)
-        if reason := self._reason_to_wait(event):
+        latest = max(event.stamp, event.epoch)
+        what = "stamped" if event.stamp == latest else "its epoch is"
+        if reason := self._ahead.reason(latest, what):
             self.counts["future"] += 1
             self._refuse(event, reason)
-            if self._ahead.keep(max(event.stamp, event.epoch), event) is not None:
+            if self._ahead.keep(latest, event) is not None:
                 self.counts["overflow"] += 1
         else:
             self._keep(WaitingEvent(event, time.monotonic_ns(), was_ahead=False))
@@ -211,19 +212,5 @@ class EventIntake:
 
     def _take_what_was_ahead(self) -> None:
         """Let the events wait to be applied to which the clock has come near."""
-        latest = self._now() + self._future if self._ahead else 0
-        while len(self._waiting) < MOST_WAITING:
-            if (event := self._ahead.take_next(latest)) is None:
-                return
+        for event in islice(self._ahead.near(), max(MOST_WAITING - len(self._waiting), 0)):
             self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead=True))
-
-    def _reason_to_wait(self, event: ImpactEvent) -> str:
-        """Why an event is too far ahead of the clock; empty if the event is not."""
-        now = self._now()
-        if not now:
-            return "no /clock has come, by which to judge its stamp; it is taken then"
-        if (ahead := max(event.stamp, event.epoch) - now) <= self._future:
-            return ""
-        what = "stamped" if event.stamp - now > self._future else "its epoch is"
-        most = self._future / NS_PER_S
-        return f"{what} {ahead / NS_PER_S:.3f} s after the clock; future allows {most:g} s"

@@ -10,8 +10,8 @@ from impact_observer.io.interfaces import Interface
 from impact_observer.io.live_inputs import give, read_pulse
 from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.model.live_signals import LiveSignals
-from impact_observer.ros.base_node import AheadOfClock, BaseNode, Receiver
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
+from impact_observer.ros.base_node import BaseNode, ClockGate, Receiver
+from impact_observer.stamps import MAX_STAMP, NS_PER_S
 
 _MOST_AHEAD = 2000
 """Messages that wait for the clock."""
@@ -56,10 +56,9 @@ class LiveIntake:
         """
         self._efforts = efforts
         self._live = live
-        self._now, self._future = now, from_seconds(future)
         self._on_problem, self._on_samples, self._on_pulse = on_problem, on_samples, on_pulse
         self.counts: Counter[str] = Counter()
-        self._ahead = AheadOfClock[tuple[Interface, AnyMessage]](_MOST_AHEAD)
+        self._ahead = ClockGate[tuple[Interface, AnyMessage]](now, future, _MOST_AHEAD)
         for interface, is_needed in (
             (efforts or interfaces.FORCING, live is not None and live.inputs and subscribes),
             (interfaces.PHASE_REFERENCE, on_pulse),
@@ -80,13 +79,18 @@ class LiveIntake:
     def _use(self, interface: Interface, messages: Sequence[AnyMessage]) -> int:
         since = self._give_what_was_ahead()
         for message in messages:
-            is_pulse = interface is interfaces.PHASE_REFERENCE
-            self.counts["samples"] += 1 if is_pulse else len(message.name)
-            stamp, now = _stamp_in(interface, message), self._now()
-            if now and stamp - now > self._future:
-                self._keep(interface, message, stamp, (stamp - now) / NS_PER_S)
-            else:
+            self.counts["samples"] += (
+                1 if interface is interfaces.PHASE_REFERENCE else len(message.name)
+            )
+            stamp = _stamp_in(interface, message)
+            if not (reason := self._ahead.reason(stamp)):
                 since = min(since, self._give(interface, message, stamp))
+                continue
+            self._on_problem(f"{interface.name}: {reason}")
+            if self._ahead.keep(stamp, (interface, message)) is not None:
+                self._refuse(
+                    interface, [f"more than {_MOST_AHEAD} messages are ahead of the clock"]
+                )
         return since
 
     def take_what_was_ahead(self) -> None:
@@ -119,19 +123,10 @@ class LiveIntake:
         if since < MAX_STAMP:
             self._on_samples(since)
 
-    def _keep(self, interface: Interface, message: AnyMessage, stamp: int, ahead: float) -> None:
-        """Keep a message that is ``ahead`` (s) of the clock."""
-        limit = f"future allows {self._future / NS_PER_S:g} s"
-        line = f"{interface.name}: stamped {ahead:.3f} s after the clock; {limit}, and it waits"
-        self._on_problem(line)
-        if self._ahead.keep(stamp, (interface, message)) is not None:
-            self._refuse(interface, [f"more than {_MOST_AHEAD} messages are ahead of the clock"])
-
     def _give_what_was_ahead(self) -> int:
         """Use the samples to which the clock has come near; see ``_give``."""
-        since, latest = MAX_STAMP, self._now() + self._future if self._ahead else 0
-        while (kept := self._ahead.take_next(latest)) is not None:
-            interface, message = kept
+        since = MAX_STAMP
+        for interface, message in self._ahead.near():
             since = min(since, self._give(interface, message, _stamp_in(interface, message)))
         return since
 

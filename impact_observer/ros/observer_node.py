@@ -99,7 +99,7 @@ class ObserverNode(BaseNode):
         self._diagnostics.inputs = self._inputs
         self._diagnostics.input_timeout = values.number("input_timeout")
         self._sensors = self._sensor_intake(options)
-        future = from_seconds(values.number("future"))
+        future = values.number("future")
         self.intake = EventIntake(self.observer, self.stamp_now, future, self._counts)
         self._go_on = self.create_guard_condition(self._apply_events)
         name = interfaces.IMPACTS.name

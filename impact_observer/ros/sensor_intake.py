@@ -18,13 +18,13 @@ from impact_observer.observer import Observer
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.ros.base_node import (
     MOST_TOGETHER,
-    AheadOfClock,
     BaseNode,
+    ClockGate,
     PolledGroup,
     Receiver,
 )
 from impact_observer.ros.topics import message_class
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
+from impact_observer.stamps import MAX_STAMP, NS_PER_S
 
 _DEPTH = 2000
 """Samples of a topic that may wait: the samples of 2 s at 1 kHz."""
@@ -32,15 +32,11 @@ _QUALITY = Quality(reliable=False, depth=_DEPTH)
 _LONGEST = 0.05
 """Time that the messages of one call may take, s; of more messages some are shed."""
 _SHARE = 1 / 3
-"""The same over the time that the messages span: so that a backlog becomes shorter, though
+"""The same over the time since the call before: so that a backlog becomes shorter, though
 estimates take as long again.
 """
 _FEW = 20
 """Messages of a call that are used without a look at their cost."""
-_TRIED = 3
-"""Messages of a call that are used one by one; the least of their times counts in a first call.
-Later it is the mean time of the call before.
-"""
 _COUNTED = 20
 """Samples from which on the rate of a sensor is known."""
 
@@ -85,7 +81,7 @@ class SensorIntake:
         """
         self._before = before
         self._node, self._observer = node, observer
-        self._now, self._past, self._future = now, past, future
+        self._now, self._past = now, past
         self._on_samples, self._on_problem = on_samples, on_problem
         self._sensors = observer.samples.sensors
         self.problems = [""] * len(self._sensors)
@@ -104,8 +100,8 @@ class SensorIntake:
         self._reported = [0] * len(self._sensors)
         self._dropped = [0] * len(self._sensors)
         self._shed = [0] * len(self._sensors)
-        self._ahead = AheadOfClock[SensorSample](_DEPTH)
-        self._cost = 0.0
+        self._ahead = ClockGate[SensorSample](now, future, _DEPTH)
+        self._ended = time.monotonic()
 
     def discover(self) -> None:
         """Look at the publishers of all topics, and subscribe to a type that can be read."""
@@ -138,26 +134,19 @@ class SensorIntake:
         if not self._is_polled:
             yield messages
             return
-        if len(messages) <= _FEW:
-            self._cost = 0.0
-            yield from ([each] for each in messages)
-            return
-        stamps, costs = list[int](), list[float]()
-        for message in messages[:_TRIED]:
-            begin = time.monotonic()
-            yield [message]
-            costs.append(time.monotonic() - begin)
-            stamps.append(self._newest(topic))
-        rest = messages[_TRIED:]
-        span = (stamps[-1] - stamps[0]) / NS_PER_S / (_TRIED - 1) * len(rest)
-        allowed, cost = max(_SHARE * span, _LONGEST), self._cost or min(costs)
-        step = max(math.ceil(len(rest) * cost / allowed), 1)
-        kept = rest[(len(rest) - 1) % step :: step]  # with the newest
+        begin, used, i, last = time.monotonic(), 0, 0, len(messages) - 1
+        allowed = max(_SHARE * (begin - self._ended), _LONGEST)
+        while True:
+            yield [messages[i]]
+            used += 1
+            self._ended = time.monotonic()
+            if i == last:
+                break
+            spent = max(self._ended - begin, 1e-9)
+            most = max((allowed - spent) * used / spent, 1.0) if last >= _FEW else math.inf
+            i += math.ceil((last - i) / most) or 1
         for reader in self._readers[topic]:
-            self._observer.samples.counts[reader.index]["shed"] += len(rest) - len(kept)
-        begin = time.monotonic()
-        yield kept
-        self._cost = (time.monotonic() - begin) / len(kept)
+            self._observer.samples.counts[reader.index]["shed"] += len(messages) - used
 
     def take_what_was_ahead(self) -> None:
         """Give the samples to the observer to which the clock has come near."""
@@ -240,10 +229,12 @@ class SensorIntake:
                 declared = reader.measurement
                 missing = f"no {declared.quantity} of {declared.joint!r} on {topic}"
                 self.problems[reader.index] = missing
-            elif now and (ahead := (sample.stamp - now) / NS_PER_S) > self._future:
-                self._keep(sample, ahead)
-            elif now and ahead < -self._past:
-                what = f"stamped {-ahead:.3f} s before the clock"
+            elif reason := self._ahead.reason(sample.stamp):
+                self._report(sample.sensor, reason)
+                if (last := self._ahead.keep(sample.stamp, sample)) is not None:
+                    self._refuse(last.sensor, f"more than {_DEPTH} samples are ahead of the clock")
+            elif (behind := (now - sample.stamp) / NS_PER_S) > self._past:
+                what = f"stamped {behind:.3f} s before the clock"
                 self._refuse(reader.index, f"{what}; history allows {self._past:g} s")
             else:
                 self._note_used(sample)
@@ -254,18 +245,9 @@ class SensorIntake:
         self.problems[sample.sensor] = ""
         self._first.setdefault(sample.sensor, (sample.stamp, self._count(sample.sensor)))
 
-    def _keep(self, sample: SensorSample, ahead: float) -> None:
-        """Keep a sample that is ``ahead`` (s) of the clock."""
-        limit = f"future allows {self._future:g} s"
-        problem = f"stamped {ahead:.3f} s after the clock; {limit}, and it waits"
-        self._report(sample.sensor, problem)
-        if (last := self._ahead.keep(sample.stamp, sample)) is not None:
-            self._refuse(last.sensor, f"more than {_DEPTH} samples are ahead of the clock")
-
     def _no_longer_ahead(self) -> Iterator[SensorSample]:
         """The samples to which the clock has come near."""
-        latest = self._now() + from_seconds(self._future) if self._ahead else 0
-        while (sample := self._ahead.take_next(latest)) is not None:
+        for sample in self._ahead.near():
             self._note_used(sample)
             yield sample
 
@@ -277,10 +259,6 @@ class SensorIntake:
     def _report(self, index: int, problem: str) -> None:
         self.problems[index] = problem
         self._on_problem(f"{self._sensors[index].name}: {problem}")
-
-    def _newest(self, topic: str) -> int:
-        """The latest stamp of the samples of a topic, ns."""
-        return max(self._observer.samples.newest[each.index] for each in self._readers[topic])
 
     def _count(self, index: int) -> int:
         """The samples of a sensor so far."""

@@ -6,7 +6,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 
-from impact_observer.ros.base_node import AheadOfClock, LogLines
+from impact_observer.ros.base_node import ClockGate, LogLines
+from impact_observer.stamps import NS_PER_S
 
 
 class Logger:
@@ -57,13 +58,19 @@ def test_strangers_cannot_make_a_log_of_many_kinds() -> None:
     assert logger.lines == [f"unknown contact {k}" for k in range(21)]
 
 
-def test_items_come_in_the_order_of_their_stamps_and_the_farthest_has_no_room() -> None:
-    """Items of one stamp come in the order in which they were kept."""
-    ahead = AheadOfClock[str](3)
+def test_items_wait_for_the_clock_in_order_and_the_farthest_has_no_room() -> None:
+    """Items of one stamp come in the order in which they were kept; without a clock none."""
+    now = [0]
+    gate = ClockGate[str](lambda: now[0], 1.0, 3)
     given = [(5, "e"), (3, "c"), (5, "f"), (9, "i"), (4, "d")]
-    assert [ahead.keep(stamp, item) for stamp, item in given] == [None, None, None, "i", "f"]
-    assert ahead.take_next(2) is None
-    assert [ahead.take_next(latest) for latest in (3, 3, 9, 9, 9)] == ["c", None, "d", "e", None]
-    ahead.keep(1, "a")
-    ahead.clear()
-    assert ahead.take_next(9) is None
+    assert all(gate.reason(stamp * NS_PER_S) for stamp, _ in given)
+    kept = [gate.keep(stamp * NS_PER_S, item) for stamp, item in given]
+    assert kept == [None, None, None, "i", "f"]
+    found = list[list[str]]()
+    for second in (0, 1, 2, 8):
+        now[0] = second * NS_PER_S
+        found.append([*gate.near()])
+    assert found == [[], [], ["c"], ["d", "e"]]
+    gate.keep(NS_PER_S, "a")
+    gate.clear()
+    assert not [*gate.near()]

@@ -60,7 +60,7 @@ class SlowObserver:
 def intake_of(observer: SlowObserver, monkeypatch: pytest.MonkeyPatch) -> EventIntake:
     """The intake of a slow observer, by the clock of the observer."""
     monkeypatch.setattr(event_intake, "time", observer)
-    return EventIntake(observer, lambda: LATER, NS_PER_S, Counter())  # type: ignore[arg-type]
+    return EventIntake(observer, lambda: LATER, 1.0, Counter())  # type: ignore[arg-type]
 
 
 def message(number: int, apart: int = NS_PER_S) -> AnyMessage:
