@@ -6,10 +6,9 @@ from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import Value, number
+from impact_observer.model.document import Section, Value, number
 from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parameter_places import (
@@ -18,8 +17,20 @@ from impact_observer.model.parameter_places import (
     key_of,
     parameter_places,
 )
-from impact_observer.model.parameter_uncertainty import KEY, ParameterUncertainty
+from impact_observer.model.parameter_uncertainty import (
+    KEY,
+    ParameterUncertainty,
+    declared_uncertainty,
+    named_section,
+    with_beside,
+)
 from impact_observer.model.parametric_family import ModelParameter
+from impact_observer.model.robot_description import (
+    DAMPING,
+    RESTITUTION,
+    ROTOR_INERTIA,
+    RobotDescription,
+)
 from impact_observer.model.system import System
 
 _DEVIATION = "deviation"
@@ -27,7 +38,7 @@ _BESIDE = ("provenance", KEY)
 """Keys of a model file that hold no numbers of the physics."""
 _NEARLY = 0.75
 """Likeness to a key from which on another key is a misspelling of it."""
-_NOTHING_AT_ZERO = ("amplitude", "stiffness", "damping", "force")
+_NOTHING_AT_ZERO = ("amplitude", "stiffness", "damping")
 """Keys of numbers that are no parameters where they are 0."""
 
 
@@ -102,37 +113,25 @@ def with_deviations(
         ModelError: a deviation of what is no parameter, or of one that has a deviation already,
             or one so large that the value is of no use.
     """
-    places = {
-        name: (f"{KEY}.covariance[{i}][{i}]", 1.0)
-        for i, name in enumerate(known.names if known else ())
-    }
-    covariance = known.covariance if known else np.empty((0, 0))
-    variances, within = list[float](), [*places]
-    for place, deviation in _named(plain, system):
-        key, name = key_of(place.path), place.name
-        if name in places:
-            where = f"in {KEY}" if name in within else f"at {places[name][0]}"
-            raise ModelError(
-                key, f"has a deviation, and {name} has one {where}; expected one of the two"
-            )
-        places[name] = key, abs(place.slope)
-        variances.append((deviation / place.slope) ** 2)
-    if not places:
+    named = [*_named(plain, system)]
+    slopes = {place.name: place.slope for place, _ in named}
+    keys, covariance = with_beside(
+        known, ((each.name, key_of(each.path), size / each.slope) for each, size in named)
+    )
+    if not keys:
         return None
     try:
-        parameters = parametric_family(system, [*places], elements).parameters
+        parameters = parametric_family(system, [*keys], elements).parameters
     except UsageError as error:
-        beside = [name for name in places if name not in within and repr(name) in str(error)]
-        key = places[beside[0]][0] if beside else KEY
+        key = next((keys[name] for name in slopes if repr(name) in str(error)), KEY)
         raise ModelError(key, str(error)) from None
-    covariance = linalg.block_diag(covariance, np.diag(variances))
     deviations = np.sqrt(np.diag(covariance)).tolist()
     used = [
-        _is_used(each, deviation, *places[each.name])
+        _is_used(each, deviation, keys[each.name], abs(slopes.get(each.name, 1.0)))
         for each, deviation in zip(parameters, deviations, strict=True)
     ]
     fitted_to = known.fitted_to if known else None
-    return ParameterUncertainty((*places,), covariance * np.outer(used, used), fitted_to)
+    return ParameterUncertainty((*keys,), covariance * np.outer(used, used), fitted_to)
 
 
 def _is_used(parameter: ModelParameter, deviation: float, key: str, slope: float) -> bool:
@@ -180,3 +179,52 @@ def _instead(path: Place) -> str:
         k = int(path[2]) + 1
         return f"a plain number, and forcing-amplitude.{k} or forcing-phase.{k} in {KEY}"
     return f"a plain number, as this is no parameter of the model: {KEY} takes those of identify"
+
+
+def read_robot_uncertainty(
+    section: Section, plain: PlainDocument, robot: RobotDescription
+) -> ParameterUncertainty | None:
+    """The uncertainty of a model file of a ``robot``; None where the file says nothing.
+
+    Parameters have names such as ``damping.elbow``, ``rotor-inertia.elbow``, ``restitution.wall``.
+
+    Raises:
+        ModelError: a value is wrong; the error names the key and the expected value.
+    """
+    known = None
+    if KEY in section:
+        names, value = named_section(section)
+        for i, name in enumerate(names):
+            if name not in robot.parameters:
+                wanted = ", ".join(robot.parameters)
+                raise ModelError(
+                    f"{KEY}.names[{i}]", f"{name!r} is no parameter; expected some of {wanted}"
+                )
+        known = declared_uncertainty(names, value)
+    keys, covariance = with_beside(known, _of_robot(plain, robot))
+    if not keys:
+        return known
+    return ParameterUncertainty((*keys,), covariance, known.fitted_to if known else None)
+
+
+def _of_robot(plain: PlainDocument, robot: RobotDescription) -> Iterator[tuple[str, str, float]]:
+    """Names, keys and deviations of numbers that have a deviation beside them."""
+    for place, deviation in plain.deviations.items():
+        if (name := _robot_name(place, robot)) not in robot.parameters:
+            raise ModelError(
+                key_of(place),
+                "has a deviation; expected a plain number: of a robot, damping, rotor_inertia and"
+                " restitution may have one",
+            )
+        yield name, key_of(place), deviation
+
+
+def _robot_name(place: Place, robot: RobotDescription) -> str:
+    """The parameter at a place of the model file; empty for no parameter."""
+    kinds = {"damping": DAMPING, "rotor_inertia": ROTOR_INERTIA}
+    if len(place) == 2 and place[0] in kinds:
+        return f"{kinds[str(place[0])]}.{place[1]}"
+    in_contact = len(place) > 2 and place[0] == "contacts" and place[2] == RESTITUTION
+    if in_contact and place[3:] in {(), ("value",)}:
+        return f"{RESTITUTION}.{robot.contact_names[int(place[1])]}"
+    return ""

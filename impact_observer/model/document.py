@@ -171,6 +171,23 @@ def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Ve
     raise ModelError(f"{key}{index}", why)
 
 
+def check_names(key: str, names: Sequence[object], least: str = "") -> None:
+    """Check names that must differ; ``least`` says of what at least one is needed.
+
+    Raises:
+        ModelError: at ``key`` with the index of the wrong name.
+    """
+    for i, name in enumerate(names):
+        if not isinstance(name, str) or not name:
+            raise ModelError(f"{key}[{i}]", f"{name!r:.40} is not a name; give a non-empty string")
+        if not name.isprintable():
+            raise ModelError(f"{key}[{i}]", f"{name!r} has characters that cannot be printed")
+        if name in names[:i]:
+            raise ModelError(f"{key}[{i}]", f"{name!r} is taken already; names must differ")
+    if least and not names:
+        raise ModelError(key, f"is empty; expected {least}")
+
+
 def file_beside(key: str, relative: str, folder: Path | None) -> Path:
     """The file that a model file in ``folder`` names.
 

@@ -22,7 +22,11 @@ from impact_observer.model.contact_sensors import (
     ContactSensors,
     read_contact_sensors,
 )
-from impact_observer.model.declared_deviations import with_deviations, without_deviations
+from impact_observer.model.declared_deviations import (
+    read_robot_uncertainty,
+    with_deviations,
+    without_deviations,
+)
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
@@ -39,7 +43,6 @@ from impact_observer.model.hertz import HERTZ, convert
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.robot_description import RobotDescription, one_of_each
-from impact_observer.model.robot_deviations import read_robot_uncertainty
 from impact_observer.model.robot_file import ROBOT_KEYS, read_robot
 from impact_observer.model.square_waves import SquareWaves
 from impact_observer.model.system import (

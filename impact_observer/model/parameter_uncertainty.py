@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import Section, Value, finite
@@ -127,7 +128,7 @@ def read_uncertainty(
     if KEY not in document:
         return None
     names, section = named_section(document)
-    check_names(f"{KEY}.names", names, system, elements)
+    check_parameters(f"{KEY}.names", names, system, elements)
     return declared_uncertainty(names, section)
 
 
@@ -156,7 +157,34 @@ def declared_uncertainty(names: tuple[str, ...], section: Section) -> ParameterU
     return ParameterUncertainty(names, covariance, fitted_to)
 
 
-def check_names(
+def with_beside(
+    known: ParameterUncertainty | None, beside: Iterable[tuple[str, str, float]]
+) -> tuple[dict[str, str], Matrix]:
+    """What is known with deviations ``beside`` numbers: names, keys and deviations, SI units.
+
+    Returns:
+        The key of each parameter's error by the parameter's name, and the covariance, (p, p).
+
+    Raises:
+        ModelError: a parameter has two deviations.
+    """
+    keys = {
+        name: f"{KEY}.covariance[{i}][{i}]" for i, name in enumerate(known.names if known else ())
+    }
+    variances = list[float]()
+    for name, key, deviation in beside:
+        if name in keys:
+            where = f"in {KEY}" if keys[name].startswith(KEY) else f"at {keys[name]}"
+            raise ModelError(
+                key, f"has a deviation, and {name} has one {where}; expected one of the two"
+            )
+        keys[name] = key
+        variances.append(deviation**2)
+    covariance = known.covariance if known else np.empty((0, 0))
+    return keys, linalg.block_diag(covariance, np.diag(variances))
+
+
+def check_parameters(
     key: str, names: Sequence[str], system: System, elements: Sequence[Element]
 ) -> None:
     """Check that each of ``names`` is one parameter of the model, and none excludes another.

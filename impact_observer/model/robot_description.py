@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import Value, finite
+from impact_observer.model.document import Value, check_names, finite
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import unit_of
@@ -83,8 +83,8 @@ class RobotDescription:
 
     def __post_init__(self) -> None:
         """Copy, freeze and check all fields; vectors that are empty are zero."""
-        _check_names("joints", self.joints)
-        _check_names("contacts", [each.name for each in self.contacts])
+        check_names("joints", self.joints, "names of joints of the URDF")
+        check_names("contacts", [each.name for each in self.contacts])
         n = self.n
         for name in ("own_damping", "rotor_inertia", "torque_deviation"):
             key = "damping" if name == "own_damping" else name
@@ -346,14 +346,6 @@ def _with_restitution(contact: PlaneContact, known: Mapping[str, float]) -> Plan
         for each in law.parameters
     ]
     return replace(contact, rebound=law.with_values(values)) if values else contact
-
-
-def _check_names(key: str, names: Sequence[object]) -> None:
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise ModelError(f"{key}[{i}]", f"{name!r} is taken already; names must differ")
-    if key == "joints" and not names:
-        raise ModelError(key, "is empty; expected names of joints of the URDF")
 
 
 def _checked_contact(i: int, contact: PlaneContact) -> PlaneContact:

@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_observer.errors import ModelError
 from impact_observer.model import forcing_keys
-from impact_observer.model.document import Section, file_beside, number
+from impact_observer.model.document import Section, check_names, file_beside, number
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.robot_description import PlaneContact, RobotDescription, one_of_each
@@ -61,12 +61,9 @@ _GRAVITY = (0.0, 0.0, -9.81)
 
 def _names(section: Section, key: str) -> list[str]:
     section.value(key)
-    names = []
-    for where, value in section.items(key):
-        if not isinstance(value, str) or not value or not value.isprintable():
-            raise ModelError(where, f"{value!r:.40} is not a name; give a string")
-        names.append(value)
-    return names
+    names = [value for _, value in section.items(key)]
+    check_names(key, names)
+    return list(map(str, names))
 
 
 def _urdf(section: Section, folder: Path | None) -> tuple[Urdf | None, str]:

@@ -8,14 +8,14 @@ Equation (1) of Baumann and Leine (ENOC 2014), for ``n`` coordinates and ``m`` c
 If stops move, the coordinates belong to a frame in which no stop moves (``grounds.py``).
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import LARGEST, finite
+from impact_observer.model.document import LARGEST, check_names, finite
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import Grounds, LiveNames, MovingFrame
 from impact_observer.model.rebounds import ReboundLaw
@@ -126,7 +126,7 @@ class System:
 
     def __post_init__(self) -> None:
         """Copy, freeze and check all fields, and derive the others."""
-        _check_names("coordinates", self.coordinates)
+        check_names("coordinates", self.coordinates, "at least one coordinate")
         n = self.n
         square = f"{n} x {n}, one row and one column a coordinate"
         M = finite("mass", self.M, (n, n), square)
@@ -138,7 +138,7 @@ class System:
         _check_definite("stiffness", K, strictly=False)
         _check_definite("damping", (C + C.T) / 2, strictly=False)
         contacts = tuple(_checked_contact(i, c, n) for i, c in enumerate(self.contacts))
-        _check_names("contacts", [c.name for c in contacts])
+        check_names("contacts", [c.name for c in contacts])
         W = np.reshape([c.direction for c in contacts], (-1, n)).T
         derived = {
             "M": frozen((M + M.T) / 2),
@@ -344,18 +344,6 @@ def _checked_part(name: str, values: ArrayLike, n: int) -> Vector:
     if largest > LARGEST_STATE:
         raise UsageError(f"{name}: {largest:g} is too large; expected at most {LARGEST_STATE:g}")
     return array
-
-
-def _check_names(key: str, names: Sequence[object]) -> None:
-    for i, name in enumerate(names):
-        if not isinstance(name, str) or not name:
-            raise ModelError(f"{key}[{i}]", f"{name!r} is not a name; give a non-empty string")
-        if not name.isprintable():
-            raise ModelError(f"{key}[{i}]", f"{name!r} has characters that cannot be printed")
-        if name in names[:i]:
-            raise ModelError(f"{key}[{i}]", f"{name!r} is taken already; names must differ")
-    if key == "coordinates" and not names:
-        raise ModelError(key, "is empty; a system needs at least one coordinate")
 
 
 def _check_symmetric(key: str, matrix: Matrix) -> None:
