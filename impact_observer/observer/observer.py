@@ -30,7 +30,6 @@ from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.observer.deviation_sources import DeviationSources
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
-from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.run_history import RunHistory, misplaced
 from impact_observer.observer.samples import SampleStream, SensorSample
@@ -187,14 +186,21 @@ class Observer:
         """
         self._assumed_epoch = self._assumed_epoch or stamp
         if not self.epoch:
-            self._run.update.epoch = self._assumed_epoch
+            self._run.epoch = self._assumed_epoch
 
     def _begin_run(self, epoch: int) -> None:
         """Start with a run of the sender whose ``epoch`` (ns) is known, or 0."""
         epoch = epoch or self._assumed_epoch
-        update = EventUpdate(self.law, self._test, epoch, self.samples.sensors)
         encoders = None if self.encoders is None else self.encoders.anew()
-        self._run = RunHistory(update, self._first_entry, self._history, encoders)
+        self._run = RunHistory(
+            self.law,
+            self._test,
+            epoch,
+            first_entry=self._first_entry,
+            history=self._history,
+            sensors=self.samples.sensors,
+            encoders=encoders,
+        )
         if self.live is not None and epoch:
             self.live.follow(epoch)
         if self.given_epoch and epoch == self.given_epoch and self.encoders is None:
@@ -250,7 +256,7 @@ class Observer:
             self._begin_run(epoch)
             self.samples.again(epoch)
         else:
-            self._run.update.epoch = epoch
+            self._run.epoch = epoch
 
     def _receive_again(
         self, released: Iterable[ImpactEvent], event: ImpactEvent
@@ -377,7 +383,7 @@ class Observer:
             if changed:
                 self._run.rerun(0)
         if not self.epoch:
-            self._assumed_epoch = self._run.update.epoch = first
+            self._assumed_epoch = self._run.epoch = first
 
     @property
     def lacking(self) -> tuple[str, ...]:
@@ -606,7 +612,7 @@ class Observer:
     @property
     def epoch(self) -> int:
         """Stamp of ``t = 0`` of the forcing, ns; 0 while unknown."""
-        return self._run.update.epoch
+        return self._run.epoch
 
     @property
     def timeline(self) -> Timeline | None:

@@ -1,11 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The history of one run of the sender: its events, and the estimates between the events."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from math import isfinite
 
 import numpy as np
 
-from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.errors import (
+    DynamicsError,
+    ImpactLawError,
+    ImpactObserverError,
+    UsageError,
+)
 from impact_observer.events import (
     Contacts,
     ImpactEstimate,
@@ -14,16 +22,19 @@ from impact_observer.events import (
     Ruling,
     Verdict,
 )
+from impact_observer.filter.clock_steps import SensorClock
 from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.readings import SampleOutcome
+from impact_observer.filter.readings import DeclaredSensor, Reading, SampleOutcome
+from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.deviation_sources import VariancePart, variance_parts
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.episode import require_epoch
-from impact_observer.observer.event_order import EventKey
-from impact_observer.observer.event_update import EventUpdate
+from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
 from impact_observer.observer.impact_sides import ImpactSides, Near
+from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.sequence_numbers import SequenceNumbers
+from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
 from impact_observer.stamps import Elapsed, from_seconds, seconds_between, text
@@ -35,6 +46,7 @@ from impact_observer.states import (
     Stamps,
     Vector,
 )
+from impact_observer.turns import give_turn
 
 MOST_EVENTS = 5000
 """Events of the history that are kept, whatever its length."""
@@ -46,10 +58,13 @@ Refusal = tuple[Ruling, str, Remark]
 
 
 class RunHistory:
-    """The events of one run of the sender, and the estimates from these events.
+    """The events of one run of the sender: beliefs after events, and estimates between them.
 
     Attributes:
-        update: makes the beliefs after events.
+        law: the law that corrects and predicts the belief.
+        test: the test of the replicas' synchronization.
+        epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
+        sensors: the sensors beside the impacts.
         timeline: the events with their beliefs; None before the first event or a given epoch.
         numbers: the sequence numbers of the events.
         encoders: where a robot starts; None for the epoch or the first stamp.
@@ -57,27 +72,35 @@ class RunHistory:
 
     def __init__(
         self,
-        update: EventUpdate,
+        law: Law,
+        test: SynchronizationTest,
+        epoch: int,
+        *,
         first_entry: Callable[[int], Entry],
         history: int,
+        sensors: Sequence[DeclaredSensor] = (),
         encoders: EncoderStart | None = None,
     ) -> None:
         """Start with no event.
 
         Args:
-            update: makes the beliefs; has the epoch of the run, or 0.
+            law: as the attribute, like ``test``, ``epoch``, ``sensors`` and ``encoders``.
+            test: of the synchronization.
+            epoch: of the run, or 0.
             first_entry: the initial state at a stamp (ns), before any event.
             history: how late an event may be and still be applied, ns.
-            encoders: as the attribute.
+            sensors: beside the impacts.
+            encoders: of a robot.
         """
-        self.update, self.encoders = update, encoders
+        self.law, self.test, self.epoch = law, test, epoch
+        self.sensors, self.encoders = sensors, encoders
         self.timeline: Timeline | None = None
         self.numbers = SequenceNumbers()
         self._first_entry, self._history = first_entry, history
-        self._system = update.law.system
-        self._scales = update.law.moving.scales
+        self._system = law.system
+        self._scales = law.moving.scales
         self._names = self._system.contact_names
-        self._sides = ImpactSides(update.law)
+        self._sides = ImpactSides(law)
         self._issued = IssuedVerdicts(self._names)
         self._is_state_given = False
         self._earliest = 0
@@ -88,7 +111,7 @@ class RunHistory:
 
     def _timeline_from(self, stamp: int) -> Timeline:
         """The initial state at a stamp (ns)."""
-        return Timeline(self._first_entry(stamp), self.update.apply, self.update.measured)
+        return Timeline(self._first_entry(stamp), self.apply, self.measured)
 
     def go_on_from(self, stamp: int) -> bool:
         """Forget the past before ``stamp`` (ns) if no event is later; returns whether so."""
@@ -96,7 +119,7 @@ class RunHistory:
         if timeline is None or timeline.entries[-1].since >= stamp:
             return False
         entry = timeline.entries[-1]
-        belief = self.update.prediction(entry).belief(seconds_between(entry.since, stamp))
+        belief = self.prediction(entry).belief(seconds_between(entry.since, stamp))
         timeline.go_on_from(stamp, belief)
         self._is_state_given = True
         return True
@@ -125,7 +148,7 @@ class RunHistory:
 
     def require_epoch(self) -> None:
         """Raise UsageError where the forcing depends on time and its epoch is unknown."""
-        require_epoch(self._system, self.update.epoch)
+        require_epoch(self._system, self.epoch)
 
     def too_old(self, stamp: int) -> Refusal | None:
         """Why an event at ``stamp`` (ns) is too late to be applied; None if not too late."""
@@ -146,7 +169,7 @@ class RunHistory:
         """The timeline, begun at the start by all events so far and an event at ``stamp``."""
         if stamp < self._earliest or not self._earliest:
             self._earliest = stamp
-        epoch = self.update.epoch
+        epoch = self.epoch
         is_first_received = self.numbers.first <= 1
         start = epoch if epoch and is_first_received else self._earliest
         if self.encoders is not None:
@@ -174,7 +197,7 @@ class RunHistory:
 
     def _forget(self, timeline: Timeline) -> None:
         """Forget entries that are older than the history."""
-        most = MOST_EVENTS + MOST_MEASURED if self.update.sensors else MOST_EVENTS
+        most = MOST_EVENTS + MOST_MEASURED if self.sensors else MOST_EVENTS
         if timeline.forget_before(timeline.newest.stamp - self._history, most):
             self._issued.forget_before(timeline.start.stamp)
 
@@ -242,7 +265,7 @@ class RunHistory:
         if verdict.ruling is Ruling.INSERTED:
             before, entry = timeline.entry_at(verdict.stamp), None
             stamp, hits = verdict.stamp - before.belief.clock.late, {hit}
-            held = self.update.prediction(before).closed(seconds_between(before.since, stamp))
+            held = self.prediction(before).closed(seconds_between(before.since, stamp))
             closed = before.closed if held is None else held
         elif (found := timeline.around(verdict.stamp, verdict.sequence, reported)) is not None:
             before, entry = found
@@ -253,7 +276,7 @@ class RunHistory:
         if hit not in hits or (entry is None and hit in closed):  # a release
             return None
         change = ContactChange(
-            Elapsed(stamp - (self.update.epoch or stamp)),
+            Elapsed(stamp - (self.epoch or stamp)),
             closed,
             tuple(sorted(hits)),
             closed,
@@ -261,15 +284,15 @@ class RunHistory:
             verdict.sequence,
             seconds_between(before.since, stamp),
         )
-        after, prediction = None if entry is None else entry.belief, self.update.prediction(before)
-        balance = self.update.law.impact_balance(change, before.belief, prediction, after)
+        after, prediction = None if entry is None else entry.belief, self.prediction(before)
+        balance = self.law.impact_balance(change, before.belief, prediction, after)
         own, stamp = balance.rows[change.hit.index(hit)], stamp - from_seconds(balance.early)
         return ImpactEstimate(stamp, names[hit], verdict.ruling, verdict.sequence, *own.tolist())
 
     def estimate(self, stamp: int) -> Estimate:
         """See ``Observer.estimate``."""
-        law, entry = self.update.law, self._entry(stamp)
-        belief, prediction = entry.belief, self.update.prediction(entry)
+        law, entry = self.law, self._entry(stamp)
+        belief, prediction = entry.belief, self.prediction(entry)
         n, s = self._system.n, seconds_between(entry.since, stamp)
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
         if root is None and law.has_covariance:  # the root after a sample is computed on request
@@ -304,17 +327,17 @@ class RunHistory:
 
     def _is_synchronized(self, entry: Entry, s: float, root: Matrix | None) -> bool:
         """Whether an estimate is, ``s`` seconds after an entry, that has a ``root`` if any."""
-        doubt = None if root is None else self.update.law.doubt(entry.belief, root)
+        doubt = None if root is None else self.law.doubt(entry.belief, root)
         if doubt is not None:
             return not doubt
         tested = self._tested(entry, s, root)
-        return self.update.test.is_synchronized(entry.synchronization, tested)
+        return self.test.is_synchronized(entry.synchronization, tested)
 
     def variance_parts(self, stamp: int) -> list[VariancePart]:
         """The parts of the variances at ``stamp`` (ns); none for a law without hypotheses."""
-        entry, law = self._entry(stamp), self.update.law
+        entry, law = self._entry(stamp), self.law
         s = seconds_between(entry.since, stamp)
-        belief = self.update.prediction(entry).belief(s)
+        belief = self.prediction(entry).belief(s)
         if not (isinstance(law, MinimumVariance) and belief.hypotheses):
             return []
         sizes = self._scales.sizes(belief.x, s)
@@ -337,35 +360,31 @@ class RunHistory:
 
     def obstacle(self, stamp: int) -> str:
         """See ``Observer.obstacle``."""
-        entry, law = self._entry(stamp), self.update.law
+        entry, law = self._entry(stamp), self.law
         fit, root = entry.belief.fit, entry.belief.root
         if not law.uses_events:
             return f"{law.name} uses no events"
         if law.has_covariance:
             after = max(seconds_between(entry.since, stamp), 0.0)
-            prediction = self.update.prediction(entry)
+            prediction = self.prediction(entry)
             own = prediction.root(after)
             if own is not None and (doubt := law.doubt(entry.belief, own)) is not None:
                 return doubt
             root = self._tested(entry, after, prediction.root(after))
             if prediction.silence(after):
                 return "predicted impacts are not reported"
-        return fit.doubt or self.update.test.obstacle(entry.synchronization, root) or fit.untested
+        return fit.doubt or self.test.obstacle(entry.synchronization, root) or fit.untested
 
     def silence(self, stamp: int) -> str:
         """See ``Observer.silence``."""
         entry = self._entry(stamp)
-        return self.update.prediction(entry).silence(seconds_between(entry.since, stamp))
+        return self.prediction(entry).silence(seconds_between(entry.since, stamp))
 
     def _tested(self, entry: Entry, s: float, root: Matrix | None) -> Matrix | None:
         """The root that is tested for the flag: of those ``agreeing`` where ``root`` is wide."""
-        if root is None or not self.update.test.is_wide(entry.synchronization, root):
+        if root is None or not self.test.is_wide(entry.synchronization, root):
             return root
-        return self.update.prediction(entry).agreeing_root(s)
-
-    def _start_of(self, entry: Entry) -> Elapsed:
-        """When an entry begins, s since the epoch."""
-        return Elapsed(entry.since - (self.update.epoch or entry.since))
+        return self.prediction(entry).agreeing_root(s)
 
     def _both_sides(
         self, entry: Entry, s: float, x: Vector, root: Matrix, closed: Contacts | None
@@ -384,7 +403,7 @@ class RunHistory:
             assert self.timeline is not None, "there is an estimate"
             x, count = np.concatenate([first.q, first.u])[None], 1
             entry, end = self.timeline.interval(first.stamp)
-            if (prediction := self.update.prediction(entry)).is_plain or only_states:
+            if (prediction := self.prediction(entry)).is_plain or only_states:
                 count = stamps.size if end is None else int(np.searchsorted(stamps, end))
             if count > 1:
                 s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])
@@ -398,7 +417,129 @@ class RunHistory:
         """States (q, u) at ``stamps`` (ns) from states in the frame, shape (samples, 2n)."""
         if self._system.frame is None:
             return x
-        return self._system.from_frame(stamps - self.update.epoch, x)
+        return self._system.from_frame(stamps - self.epoch, x)
+
+    def apply(self, previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
+        """The entry of ``event``, from the ``previous`` entry.
+
+        Raises:
+            ImpactLawError: the impact law has no solution.
+            DynamicsError: the loads of closed contacts cannot be found, or the estimate is not
+                finite.
+        """
+        give_turn()
+        last = event.stamp, event.sequence
+        meaning = interpret(event, previous.closed, previous.latest, superseding)
+        if not meaning.switches:
+            latest, overruled = meaning.latest, meaning.overruled
+            return replace(
+                previous, key=event, latest=latest, overruled=overruled, last=last, outcome=None
+            )
+        stamp = event.stamp - previous.belief.clock.late
+        s = max(seconds_between(previous.since, stamp), 0.0)
+        change = ContactChange.of(
+            Elapsed(stamp - (self.epoch or stamp)),
+            previous.closed,
+            meaning.switches,
+            stamp=event.stamp,
+            sequence=event.sequence,
+            flown=s,
+            flight=seconds_between(previous.last[0], event.stamp) if previous.last[0] else s,
+            disorder=disorder(event, meaning, previous.latest),
+        )
+        try:
+            posterior, x = self._corrected(previous, change)
+        except ImpactLawError as error:
+            raise ImpactLawError(f"at {text(stamp)} s: {error}") from None
+        stamp = event.stamp - posterior.clock.late
+        result = self.test.after_event(previous.synchronization, change, x, posterior)
+        if not isfinite(result.energy):
+            raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
+        return Entry(
+            event,
+            stamp,
+            posterior,
+            result,
+            change.closed,
+            meaning.latest,
+            meaning.overruled,
+            last,
+            stamp if change.hit else previous.impact,
+            rejected=previous.rejected,
+        )
+
+    def _corrected(self, previous: Entry, change: ContactChange) -> tuple[Belief, Vector]:
+        """The belief after a change of contacts, and the estimate just before it, shape (2n,)."""
+        s, belief = change.flown, previous.belief
+        if s > 0:
+            belief = self.prediction(previous).belief(s)
+        if self.sensors:  # their samples are stamped by a clock that has not stepped
+            belief = belief._replace(clock=SensorClock())
+        return self.law.correct(change, belief), belief.x
+
+    def measured(self, previous: Entry, samples: Sequence[EventKey]) -> list[Entry]:
+        """The entries of ``samples`` of one stamp, from the ``previous`` entry.
+
+        Raises:
+            DynamicsError: the estimate is not finite.
+        """
+        give_turn()
+        stamp = samples[0].stamp
+        since, s = self._since(previous, stamp), seconds_between(previous.since, stamp)
+        readings = [self._reading(previous, each) for each in samples]
+        if not any(each.is_blanked for each in readings):
+            made = self.law.followed(readings, previous.belief, since, s)
+            if made is not None:
+                return _entries(previous, samples, *made)
+        if len(samples) == 1:
+            return [self._measured_alone(previous, samples[0], readings[0])]
+        entries = list[Entry]()
+        for each in samples:
+            entries += self.measured(entries[-1] if entries else previous, [each])
+        return entries
+
+    def _measured_alone(self, previous: Entry, event: EventKey, reading: Reading) -> Entry:
+        """The entry of a sample; a sample that is not used leaves the motion unchanged."""
+        if reading.is_blanked:
+            ago, blanking = reading.since_impact, reading.sensor.measurement.blanking
+            reason = f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
+            outcome = SampleOutcome(0.0, -1.0, False, reason)
+            return replace(previous, key=event, overruled=(), outcome=outcome)
+        s = seconds_between(previous.since, event.stamp)
+        prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
+        posterior, outcome = self.law.measure(reading, prior)
+        if posterior is prior:
+            now = _rejected_after(previous, [event], [outcome])
+            return replace(previous, key=event, overruled=(), outcome=outcome, rejected=now)
+        return _entries(previous, [event], posterior, [outcome])[0]
+
+    def _since(self, entry: Entry, stamp: int) -> float:
+        """When the belief of ``entry`` holds, s since the epoch; by default ``stamp`` (ns)."""
+        return seconds_between(self.epoch or stamp, entry.since)
+
+    def _reading(self, previous: Entry, event: EventKey) -> Reading:
+        """A sample, after the ``previous`` entry."""
+        (value,), stamp, index, impact = event.sample, event.stamp, event.sensor, previous.impact
+        ns = stamp - (self.epoch or stamp)
+        return Reading(
+            self.sensors[index],
+            value,
+            Elapsed(ns),
+            ns,
+            seconds_between(impact, stamp) if impact else math.inf,
+            previous.closed,
+            previous.rejected.get(index, 0),
+        )
+
+    def prediction(self, entry: Entry) -> Prediction:
+        """The prediction from the belief of ``entry``, made at the first call."""
+        if entry.prediction is None:
+            entry.prediction = self.law.predict(self._start_of(entry), entry.belief, entry.closed)
+        return entry.prediction
+
+    def _start_of(self, entry: Entry) -> Elapsed:
+        """When an entry begins, s since the epoch."""
+        return Elapsed(entry.since - (self.epoch or entry.since))
 
 
 def misplaced(key: EventKey, timeline: Timeline) -> Refusal | None:
@@ -410,3 +551,52 @@ def misplaced(key: EventKey, timeline: Timeline) -> Refusal | None:
 
 def _before(start: int) -> str:
     return f"before {text(start)} s, the start of the history"
+
+
+def _entries(
+    previous: Entry,
+    samples: Sequence[EventKey],
+    posterior: Belief,
+    outcomes: Sequence[SampleOutcome],
+) -> list[Entry]:
+    """The entries of ``samples`` of one stamp; all have the ``posterior`` after the last one.
+
+    Raises:
+        DynamicsError: it is not finite.
+    """
+    stamp = samples[0].stamp
+    if not isfinite(posterior.x.dot(posterior.x)):
+        raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
+    rejected = _rejected_after(previous, samples, outcomes)
+    return [
+        Entry(
+            event,
+            stamp,
+            posterior,
+            previous.synchronization,
+            previous.closed,
+            previous.latest,
+            (),
+            previous.last,
+            previous.impact,
+            outcome,
+            rejected,
+        )
+        for event, outcome in zip(samples, outcomes, strict=True)
+    ]
+
+
+def _rejected_after(
+    previous: Entry, samples: Sequence[EventKey], outcomes: Sequence[SampleOutcome]
+) -> Mapping[int, int]:
+    """How many samples in a row of each sensor were rejected, after ``samples``.
+
+    A sample without an innovation in deviations says nothing.
+    """
+    rejected = dict(previous.rejected)
+    for event, of_sample in zip(samples, outcomes, strict=True):
+        if of_sample.accepted:
+            rejected.pop(event.sensor, None)
+        elif of_sample.normalized >= 0:
+            rejected[event.sensor] = rejected.get(event.sensor, 0) + 1
+    return rejected
