@@ -12,7 +12,6 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapFileWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -170,20 +169,6 @@ def rewritten(
         for topic, log_time, data in reader.raw():
             writer.write(connections[topic], log_time, data)
     return path
-
-
-def random_messages(count: int, seed: int) -> list[tuple[str, int, bytes]]:
-    """Messages of three topics whose log times go back by as much as 50 ms, some of them equal."""
-    random = np.random.default_rng(seed)
-    times = np.sort(random.integers(1, 1000, count)) + random.integers(0, 50, count)
-    return [
-        (
-            TOPICS[random.integers(3)],
-            int(time) * 1_000_000,
-            random.bytes(int(random.integers(4, 900))),
-        )
-        for time in times
-    ]
 
 
 def bare(path: Path) -> Path:

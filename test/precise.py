@@ -153,20 +153,3 @@ def flow(
                 state = state[: x.size] + loads.at(now) + state[size:]
             states.append(state[: x.size])
     return np.array(states, dtype=float)
-
-
-def divided_difference(points: Sequence[complex], s: float) -> complex:
-    """``exp(s .)[points]``, as the last entry of the exponential of a bidiagonal matrix."""
-    with localcontext() as context:
-        context.prec = _DIGITS
-        size = 2 * len(points)
-        rows = [[Decimal(0)] * size for _ in range(size)]
-        for i, point in enumerate(points):
-            real, imaginary = Decimal(point.real), Decimal(point.imag)
-            rows[2 * i][2 * i] = rows[2 * i + 1][2 * i + 1] = real
-            rows[2 * i][2 * i + 1], rows[2 * i + 1][2 * i] = -imaginary, imaginary
-            if i:
-                rows[2 * i - 2][2 * i] = rows[2 * i - 1][2 * i + 1] = Decimal(1)
-        start = [Decimal(0)] * (size - 2) + [Decimal(1), Decimal(0)]
-        real, imaginary = _series(rows, start, Decimal(s))[:2]
-    return complex(float(real), float(imaginary))

@@ -66,7 +66,7 @@ def _model(reader: BagReader) -> dict[str, object] | None:
     except (BagError, ModelError) as error:
         return {"error": str(error)}
     known, drawn = model.provenance, "true_parameters"
-    keys = ("version", "seed", "integrator", "sensor", *([drawn] if drawn in known else []))
+    keys = ("version", "seed", "sensor", *([drawn] if drawn in known else []))
     return {"name": model.subject.name} | {key: known.get(key) for key in keys}
 
 
@@ -121,12 +121,11 @@ def _facts(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _origin(model: Mapping[str, object]) -> str:
-    """Name, version, seed and integrator of the model in a bag."""
+    """Name, version and seed of the model in a bag."""
     if "error" in model:
         return f"cannot be read: {model['error']}"
     origin = [f"{key} {model[key]}" for key in ("version", "seed") if model[key] is not None]
-    how = [str(model["integrator"])] if model["integrator"] is not None else []
-    return ", ".join([str(model["name"]), *origin, *how])
+    return ", ".join([str(model["name"]), *origin])
 
 
 def _quality(topic: Mapping[str, Any]) -> str:

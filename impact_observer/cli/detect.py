@@ -103,11 +103,11 @@ def run(args: argparse.Namespace) -> int:
     with Progress() as progress:
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)
         for k, source in enumerate(result.sources):
-            counts, rise = result.counts[k], result.rises[k]
+            counts, dead, rise = result.counts[k], result.dead_times[k], result.rises[k]
             what = f"{source.topic}, {source.kind}, dead time {source.dead_time:g} s"
-            if suppressed := result.suppressed[k]:
-                what += f", {suppressed} suppressed in it"
-            if short := result.short_releases[k]:
+            if dead.suppressed:
+                what += f", {dead.suppressed} suppressed in it"
+            if short := dead.short_releases:
                 what += f", {short} {'release' if short == 1 else 'releases'} no longer than it"
             if rise > 0:
                 what += f", stamps {1e3 * rise:.2g} ms after the threshold, on average:"

@@ -34,8 +34,8 @@ class BagComparison:
     Attributes:
         system: the system that plant and observers share.
         comparisons: recorded estimates by their observer's topic prefix, such as
-            ``/observer_geometric``, or by the named topic; estimates of observers that were run
-            on the bag by the law's name.
+            ``/observer_geometric``; estimates of observers that were run on the bag by the law's
+            name.
         impacts: stamps of the impacts (ns), by contact.
         zero: time zero.
     """

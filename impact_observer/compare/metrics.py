@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The metrics of a comparison: one table for JSON, CSV, the printed tables and the report.
+"""The metrics of a comparison: one table for ``--json`` and the printed tables.
 
 To add a metric, add a row to ``METRICS``. The metric appears in ``--json`` under its
-key. A metric with a column also appears in the printed table of the column, and in the report.
+key. A metric with a heading is also a column of the printed table that it names.
 ``docs/compare.md`` lists all metrics with unit and meaning; a test compares the keys and
 headings of that page with ``METRICS``.
 """
@@ -25,7 +25,7 @@ class Metric(NamedTuple):
     """A number that says how good an estimate is.
 
     Attributes:
-        key: its name in JSON and CSV.
+        key: its name in ``--json``.
         value: computes the metric: a word, a number, a list with a number a state, or None
             without a meaning.
         table: title of the printed table that has the metric; empty for none.

@@ -19,6 +19,8 @@ LAWS = "kinematic,geometric"
 """The laws of the paper's figure."""
 INITIAL = "random:1"
 """Initial state of the observers where none is given."""
+EPOCH = NS_PER_S
+"""Stamp of t = 0, ns."""
 RATE = 100.0
 """Rate of the samples that are compared, Hz."""
 
@@ -34,7 +36,7 @@ def compare_simulated(
 
     Args:
         model: of a linear system, with an initial state.
-        options: of the observers, one a law, with one epoch; 0 for 1 s.
+        options: of the observers, one a law; their epoch is that of the run.
         duration: of the run, s.
         progress: receives the name of the work, the amount done, and the whole amount.
 
@@ -42,15 +44,14 @@ def compare_simulated(
         UsageError, ModelError: the options or the initial state cannot be used.
         ImpactLawError, DynamicsError: plant or observer cannot go on.
     """
-    epoch = options[0].epoch or NS_PER_S
     # The ensemble is left out: no estimate depends on the ensemble.
     observers = [
-        make_observer(model.system, replace(each, ensemble=1, epoch=epoch)) for each in options
+        make_observer(model.system, replace(each, ensemble=1, epoch=EPOCH)) for each in options
     ]
     run = simulate(
-        Plant(model.system, *model.initial_state(), epoch=epoch),
-        grid(epoch, epoch + from_seconds(duration), RATE),
-        progress=lambda stamp: progress("simulating", seconds_between(epoch, stamp), duration),
+        Plant(model.system, *model.initial_state(), epoch=EPOCH),
+        grid(EPOCH, EPOCH + from_seconds(duration), RATE),
+        progress=lambda stamp: progress("simulating", seconds_between(EPOCH, stamp), duration),
     )
     truth = samples_of(run.stamps, run.states)
     comparisons = {
@@ -62,4 +63,4 @@ def compare_simulated(
         )
         for observer in observers
     }
-    return BagComparison(model.system, comparisons, impacts_in(run.events), TimeZero(epoch))
+    return BagComparison(model.system, comparisons, impacts_in(run.events), TimeZero(EPOCH))

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from impact_observer.detector.peak import PeakSensor
 from impact_observer.detector.sensors import (
     ArrivalSensor,
+    DeadTimes,
     DetectedSwitch,
     Sample,
     SampleTime,
@@ -187,9 +188,10 @@ class Detector:
         """The signals of the sources, if they are kept."""
         return [sensor.trace for sensor in self._sensors if sensor.trace is not None]
 
-    def suppressed(self, index: int) -> int:
-        """How many peaks, changes of a switch or messages lay in dead times."""
-        return self._sensors[index].dead_times.suppressed
+    @property
+    def dead_times(self) -> list[DeadTimes]:
+        """What lay in the dead times of each source."""
+        return [sensor.dead_times for sensor in self._sensors]
 
     def rise(self, index: int) -> float:
         """The mean time from where peaks of a source reached the threshold to their stamps, s."""
@@ -210,10 +212,6 @@ class Detector:
             for count, why in reasons
             if count
         ]
-
-    def short_releases(self, index: int) -> int:
-        """How many releases of a switch were not longer than its dead time."""
-        return self._sensors[index].dead_times.short_releases
 
     def problem(self, index: int) -> str:
         """Returns why a source has no events or left out messages; empty if nothing is wrong."""

@@ -122,7 +122,7 @@ class PeakSensor(Sensor):
         self._field_before = 0.0
         self._peak: _Peak | None = None
         self._armed = False
-        self._top = self._dead_until = 0
+        self._dead_until = 0
         self._recent = deque[Point](maxlen=_RECENT)
         self._is_rising = self._is_suppressing = False
 
@@ -228,12 +228,12 @@ class PeakSensor(Sensor):
         """End the peak; returns its IMPACT."""
         assert self._peak is not None
         peak, self._peak = self._peak, None
-        self._top, onset = peak.whole.instant(), peak.first.instant()
+        top, onset = peak.whole.instant(), peak.first.instant()
         dead_time = from_seconds(self._dead_time)
-        self._dead_until = self._top + dead_time
-        stamp = onset if self._source.instant == "onset" else self._top
+        self._dead_until = top + dead_time
+        stamp = onset if self._source.instant == "onset" else top
         self.dead_times.rises += stamp - peak.begin.stamp
         if self.trace is not None:
             self.trace.impacts.append(stamp)
-            self.trace.dead.append((self._top, self._dead_until))
+            self.trace.dead.append((top, self._dead_until))
         return [DetectedSwitch(decided, stamp, Kind.IMPACT)]

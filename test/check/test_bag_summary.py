@@ -77,7 +77,6 @@ def test_json_has_all_results(sample_bag: Path, capsys: pytest.CaptureFixture[st
             "name": "two_mass",
             "version": "1.2.3",
             "seed": 7,
-            "integrator": None,
             "sensor": None,
         },
         "observers": {"/observer_geometric": "geometric"},

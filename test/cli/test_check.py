@@ -2,8 +2,6 @@
 """The command ``check``: whether an observer can use a bag."""
 
 import json
-import re
-import sys
 
 import pytest
 from faulty_bags import write
@@ -53,23 +51,6 @@ def test_json_has_every_part_of_a_finding(capsys: pytest.CaptureFixture[str]) ->
             }
         ],
     }
-
-
-def test_on_a_terminal_lines_are_folded_beside_their_severity(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """No word is cut off, and the column below the severity is empty."""
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", "50")
-    monkeypatch.setenv("TERM", "xterm")
-    write(truth=[])
-    assert main(["check", "bag"]) == 0
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
-    assert plain.splitlines()[-3:] == [
-        "note  bag: carries no truth (/plant/joint_states);",
-        "      observe needs --rate",
-        "bag: an observer can use it (1 note)",
-    ]
 
 
 def test_wrong_use_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:

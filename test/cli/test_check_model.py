@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from impact_observer.cli import check_model
-from impact_observer.errors import ModelError, UsageError
 
 CORNER = """
 name: corner
@@ -163,14 +162,3 @@ def test_declared_deviations_are_listed(
     known = {"name": "gap.s0", "value": 1.0, "deviation": 0.02, "unit": "m"}
     assert found["gap.s0"] == {**known, "observed": True}
     assert found["mass.x0"]["deviation"] == 0.0
-
-
-def test_a_file_that_is_no_model_is_wrong_use(tmp_path: Path) -> None:
-    """The error is one line, with exit code 2."""
-    with pytest.raises(UsageError, match="no such file") as absent:
-        check_model.run(parsed(str(tmp_path / "absent.yaml")))
-    with pytest.raises(ModelError, match="restitution: is 7") as broken:
-        check_model.run(
-            parsed(written(tmp_path, CORNER.replace("restitution: 0", "restitution: 7")))
-        )
-    assert absent.value.exit_code == broken.value.exit_code == 2

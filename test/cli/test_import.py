@@ -185,25 +185,6 @@ def test_impact_times_come_in_the_same_tables_as_signals(
     assert [event.stamp - EPOCH for event in events] == [10**6 * each for each in stamps]
 
 
-def test_a_file_that_is_missing_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The error of one line names the path."""
-    path = tmp_path / "rig.csv"
-    assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
-    assert "rig.csv: cannot be read: No such file" in capsys.readouterr().err
-
-
-def test_an_existing_bag_is_not_overwritten(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The error of one line names it."""
-    (tmp_path / "bag").mkdir()
-    path = written(tmp_path, "0.5,stop\n")
-    assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
-    assert "exists already" in capsys.readouterr().err
-
-
 STATES = "time,q_x1,u_x1,x2,u_x2\n0.25,1,2,3,4\n0.5,5,6,7,8\n"
 
 
@@ -267,25 +248,6 @@ def test_true_states_need_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[
     truth.write_text(STATES)
     assert main(["import", str(path), "--truth", str(truth), "-o", str(tmp_path / "bag")]) == 2
     assert "true states without a model; name it with --model" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("header", "column", "stamp"), [("t", "t", 10**9), ("hit [ms]", "hit [ms]", 10**6)]
-)
-def test_time_may_have_another_name(tmp_path: Path, header: str, column: str, stamp: int) -> None:
-    """Times have a unit in the header, or are in seconds."""
-    events = imported(tmp_path, f"{header},contact\n1,stop\n", "--time-column", column)
-    assert [event.stamp - EPOCH for event in events] == [stamp]
-
-
-@pytest.mark.parametrize("header", ["t (ms)", "T [ms]", "t_ms", "Time (ms)"])
-def test_a_unit_in_the_header_is_read_and_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], header: str
-) -> None:
-    """An oscilloscope writes such headers; the summary names the unit."""
-    (event,) = imported(tmp_path, f"{header},contact\n250,stop\n")
-    assert event.stamp == EPOCH + 250_000_000
-    assert "1 event of 1 row, times in ms, stamps" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("rate", [16000, 1000, 3])

@@ -11,7 +11,6 @@ from impact_observer.io.interfaces import IMPACTS
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
-from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import grid
 
 EPOCH = 1_000_000_000
@@ -79,16 +78,6 @@ def test_ideal_sensor_is_not_mentioned(tmp_path: Path) -> None:
     assert "sensor" not in model.provenance
     assert arrivals == stamps
     assert stamps
-
-
-def test_help_lists_every_fault_in_a_group(capsys: pytest.CaptureFixture[str]) -> None:
-    """The group "sensor" has the meaning of each fault."""
-    with pytest.raises(SystemExit):
-        main(["simulate", "--help"])
-    group = " ".join(capsys.readouterr().out.partition("\nsensor:\n")[2].split())
-    for each in SENSOR_FAULTS:
-        assert f"--{each.name.replace('_', '-')} " in group
-        assert each.meaning in group
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 
 import pickle
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -317,18 +317,3 @@ def test_a_file_that_is_not_there_is_one_line(
         UsageError, match=f"{expected}.*switch$" if "sample" in expected else expected
     ):
         read_sources(name(tmp_path))
-
-
-def test_the_documentation_has_a_file_and_all_keys() -> None:
-    """The example can be copied; each key is in the table with its default."""
-    document = (Path(__file__).parents[2] / "docs" / "detector.md").read_text(encoding="utf-8")
-    sources = parse_sources(document.split("```yaml\n")[1].split("```")[0], "docs")
-    types = (BOOL, IMU, "geometry_msgs/msg/WrenchStamped", "x/msg/Y")
-    whole = [source.complete(name) for source, name in zip(sources, types, strict=True)]
-    assert [source.kind for source in whole] == ["switch", "peak", "peak", "arrival"]
-    keys = {each.name for each in fields(Source)} - {"origin"}
-    assert all(f"\n| `{key}` |" in document for key in keys)
-    assert "| `min_contact_duration` | switch | 0.05 s |" in document
-    assert whole[0].min_contact_duration == 0.05
-    assert (whole[0].dead_time, whole[1].dead_time, whole[3].dead_time) == (0.005, 0.02, 0.0)
-    assert "switch 0.005 s, peak 0.02 s, arrival 0 |" in document

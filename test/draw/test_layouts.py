@@ -90,14 +90,3 @@ def test_every_series_for_plotjuggler_is_a_number_in_the_bag(
             rest = f"{field}[{list(message.name).index(joint)}]"
         (value,) = walked(message, f".{rest}")
         assert np.isfinite(float(value)), series
-
-
-def test_splitters_for_plotjuggler_count_right() -> None:
-    """Sizes add up, and every plot has a title and curves."""
-    for splitter in PLOTJUGGLER.iter("DockSplitter"):
-        sizes = [float(size) for size in splitter.attrib["sizes"].split(";")]
-        assert len(splitter) == int(splitter.attrib["count"]) == len(sizes)
-        assert sum(sizes) == pytest.approx(1.0)
-    for area in PLOTJUGGLER.iter("DockArea"):
-        assert area.attrib["name"]
-        assert area.findall("plot/curve")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from impact_observer.draw import pictures
@@ -218,16 +217,6 @@ def test_a_coordinate_has_its_position_at_the_left_and_its_velocity_at_the_right
     assert labels[2:6] == ["x0\n[m]", "dx0/dt\n[m/s]", "x1\n[m]", "dx1/dt\n[m/s]"]
     assert labels[6:] == ["standard\ndeviation"] * 2
     assert len({axes.get_xlim() for axes in drawn(motion_of()).axes}) == 1
-
-
-def test_range_is_that_of_the_lines_and_not_of_the_bands() -> None:
-    """An estimate that is very uncertain at first does not flatten the motion."""
-    axes = drawn(motion_of()).axes[2]
-    low, high = axes.get_ylim()
-    assert -0.5 < low < 0.0
-    assert 2.0 < high < 2.5
-    (band,) = [each for each in axes.collections if isinstance(each, PolyCollection)]
-    assert band.get_paths()[0].get_extents().height == pytest.approx(402.0)
 
 
 def test_deviations_have_a_logarithmic_scale() -> None:

@@ -57,14 +57,6 @@ def test_table_offers_the_quality_of_the_contract() -> None:
     assert interfaces.PLANT_MODEL.quality == LATCHED == Quality(True, True, 1)
 
 
-def test_names_are_relative_for_nodes_and_absolute_in_bags() -> None:
-    """The clock is absolute for both."""
-    assert interfaces.IMPACTS.topic == "/impacts"
-    states = interfaces.OBSERVER_STATES.name_under("observer_geometric")
-    assert states == "observer_geometric/state"
-    assert interfaces.SIMULATED_CLOCK.topic == interfaces.SIMULATED_CLOCK.name == "/clock"
-
-
 @given(quality=QUALITIES)
 def test_quality_survives_a_bag(quality: Quality) -> None:
     """The quality that is offered is read back."""

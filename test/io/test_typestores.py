@@ -4,25 +4,9 @@
 from pathlib import Path
 
 import pytest
-from rosbags.typesys import Stores, get_typestore
 
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces, typestores
-
-
-def test_all_types_of_the_table_are_known() -> None:
-    """Types of this package come from their texts, the others from ROS 2 Jazzy."""
-    definitions = typestores.typestore().fielddefs
-    assert {each.type for each in interfaces.INTERFACES} <= definitions.keys()
-    assert interfaces.IMPACT_EVENT not in get_typestore(Stores.ROS2_JAZZY).fielddefs
-
-
-def test_new_typestore_is_its_callers_own() -> None:
-    """A type that one bag defines is unknown in the next."""
-    mine = typestores.new_typestore()
-    assert typestores.add_definition(mine, "int32 a\n", "rig/msg/A") == set()
-    assert "rig/msg/A" in mine.fielddefs
-    assert "rig/msg/A" not in typestores.new_typestore().fielddefs
 
 
 def test_another_definition_of_a_type_is_reported_and_not_used() -> None:
