@@ -31,10 +31,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("filter", "Kalman filter of impact times, saltation, hypotheses", ""),
         Room("bank", "the same on arrays, which is to replace it"),
     ),
-    (
-        Room("observer", "observer, timeline with roll-back, verdicts, the laws"),
-        Room("trajectory", "one linearisation of a motion with its impacts"),
-    ),
+    (Room("observer", "observer, timeline with roll-back, verdicts, the laws"),),
     (
         Room(
             "io",
@@ -45,11 +42,10 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (
         Room("detector", "impacts from switches, accelerations, forces", "ruamel.yaml"),
         Room("draw", "pictures and tables of text", "matplotlib"),
-        Room("smooth", "a recording's states from the events before and after", "rich"),
     ),
+    (Room("batch", "all events at once: parameters, smoothed motion, verdict", "rich"),),
     (
         Room("compare", "estimates against truth: metrics, tables, picture, export", "rich"),
-        Room("identify", "parameters from impact times", "rich"),
         Room("observability", "what the impacts determine", "rich"),
         Room("check", "models and bags: what is wrong with them", "rich"),
     ),

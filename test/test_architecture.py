@@ -21,7 +21,7 @@ BENCHMARKS = ROOT / "benchmarks"
 
 LEVELS = {room.name: level for level, rooms in enumerate(ROOMS, 1) for room in rooms}
 """The modules beside the rooms are the vocabulary, level 0."""
-CORE = ("model", "dynamics", "robots", "plant", "filter", "observer", "trajectory")
+CORE = ("model", "dynamics", "robots", "plant", "filter", "observer")
 ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}
 ENTRANCE = {"__init__.py", "__main__.py"}
 """Modules beside the rooms that lead into them: they may import any room."""

@@ -102,8 +102,8 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
     whole = x.copy()
     whole[:, :d] = (forth.Phi @ (jumps.x - back.drift)[..., None])[..., 0]
     by_x = forth.Phi @ jumps.Phi @ back.Phi
-    after = tangent.rates(hit.t, whole[:, :d], hit.held)[0]
-    before = tangent.rates(hit.t, x[:, :d], hit.held)[0]
+    after = tangent.rates([hit.t], whole[:, :d], hit.held)[0]
+    before = tangent.rates([hit.t], x[:, :d], hit.held)[0]
     by_v = after - (by_x @ before[..., None])[..., 0]
     S = root[:, :N].copy()
     S[:, :d] = by_x @ root[:, :d] + by_v[:, :, None] * root[:, N:]

@@ -326,7 +326,9 @@ class Flights:
     def _rates(self, leg: Leg, at: Vector, x: Matrix) -> Matrix:
         """``dx/dt`` of states, each at its own time, shape (H, 2n)."""
         each = zip(at.tolist(), x, strict=True)
-        return np.array([self.tangent.rates(leg.t + s, row, leg.held)[0] for s, row in each])
+        return np.array(
+            [self.tangent.rates([leg.t + s], row[None], leg.held)[0][0] for s, row in each]
+        )
 
 
 def _cubic(ends: Array, slopes: Array, step: float, part: Array) -> tuple[Array, Array]:

@@ -24,9 +24,8 @@ from impact_observer.plain_text import say
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from impact_observer.batch.identification import Identification
     from impact_observer.events import ImpactEvent
-    from impact_observer.identify.fit_check import FitCheck
-    from impact_observer.identify.identification import Identification
     from impact_observer.io.bag_part import TimeZero
     from impact_observer.model import Model, System
     from impact_observer.model.measurement import Measurement
@@ -109,14 +108,11 @@ def run(args: argparse.Namespace) -> int:
         0; 1 if a parameter is not determined or ends at its bound, no motion explains the impacts,
         or the model does not fit.
     """
+    from impact_observer.batch.fit_report import fit_picture, refuse_scales_of_parts, why_useless
+    from impact_observer.batch.identification import identify
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.pictures import save
     from impact_observer.draw.reports import listed
-    from impact_observer.identify import fit_report
-    from impact_observer.identify.fit_check import check_fit
-    from impact_observer.identify.fit_picture import fit_picture
-    from impact_observer.identify.identification import identify
-    from impact_observer.identify.written_uncertainty import refuse_scales_of_parts
     from impact_observer.model.free_parameters import parametric_family
 
     free = tuple(name.strip() for name in args.free.split(",") if name.strip())
@@ -143,18 +139,17 @@ def run(args: argparse.Namespace) -> int:
             )
         except BagError as error:
             raise type(error)(f"{args.bag}: {error}") from None
-    checked = check_fit(fit)
-    _print(args, fit, checked)
-    if given.unused and not fit.converged:
+    _print(args, fit)
+    if given.unused and not fit.fit.is_settled:
         say(
             f"note: {args.bag} has joints on {listed(given.unused)}: if they are of an encoder,"
             " declare them by --measurements FILE, whose samples find a motion where impacts alone"
             " do not (docs/nodes.md)",
             file=lines,
         )
-    good = not fit_report.why_useless(fit) and checked.fits
+    good = not why_useless(fit) and fit.verdict.fits
     if args.output is not None:
-        good = _write(args, fit, checked, given.text) and good
+        good = _write(args, fit, given.text) and good
     if args.plot is not None:
         title = f"{fit.family.system.name}: instants of the model minus stamps"
         save(fit_picture(fit, title=title, zero=given.zero), args.plot)
@@ -229,38 +224,27 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
     return _Given(given, model, system, events, declared, recorded.samples, zero, unused, prior)
 
 
-def _print(args: argparse.Namespace, fit: "Identification", checked: "FitCheck") -> None:
-    """Print a fit as JSON, as a check, or as a table of parameters."""
-    from impact_observer.identify import fit_report
+def _print(args: argparse.Namespace, fit: "Identification") -> None:
+    """Print a fit as JSON, as a check, or with a table of parameters."""
+    from impact_observer.batch.fit_report import for_json, print_report
 
     if args.json:
-        say(json.dumps(fit_report.for_json(fit, checked), indent=2, allow_nan=False))
-    elif args.check:
-        fit_report.print_check(fit, checked)
+        say(json.dumps(for_json(fit), indent=2, allow_nan=False))
     else:
-        fit_report.print_parameters(fit, checked)
+        print_report(fit, is_check=args.check)
 
 
-def _write(
-    args: argparse.Namespace, fit: "Identification", checked: "FitCheck", given: "ModelText"
-) -> bool:
+def _write(args: argparse.Namespace, fit: "Identification", given: "ModelText") -> bool:
     """Write the model, or say why not; returns whether all of it is written."""
-    from impact_observer.identify import fit_report
+    from impact_observer.batch.fit_report import why_useless, write_model
 
-    if reason := fit_report.why_useless(fit):
+    if reason := why_useless(fit):
         words, is_whole = f"{args.output} is not written: {reason}", False
     else:
-        left_out = fit_report.write_model(
-            fit, given, args.bag, args.output, initial=args.initial_state
-        )
-        doubt = "" if checked.fits else "though it does not fit"
-        if shift := checked.shift.largest:
-            shown = f"deviations of estimates with it contain a shift of {shift:.2g} s"
-            doubt = " and ".join(filter(None, [doubt, shown]))
-        words, is_whole = (
-            ", ".join(filter(None, [str(args.output), left_out, doubt])),
-            not left_out,
-        )
+        left_out = write_model(fit, given, args.bag, args.output, initial=args.initial_state)
+        doubt = "" if fit.verdict.fits else "though it does not fit"
+        words = ", ".join(filter(None, [str(args.output), left_out, doubt]))
+        is_whole = not left_out
     say(f"model: {words}", file=sys.stderr if args.json else sys.stdout)
     return is_whole
 

@@ -18,6 +18,7 @@ time, and ``W^T u = 0`` and the gaps of held contacts are restored, so that roun
 
 from abc import abstractmethod
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Protocol
 
@@ -138,6 +139,15 @@ class Drive:
             return waves
         jets = self._samples.derivatives(np.array([float(t)]))[: self._shape[0], 0]
         return np.concatenate([jets[:, self._active].ravel(), waves])
+
+    def at_each(self, t: Sequence[Elapsed]) -> Matrix:
+        """``at`` of K instants, shape (K, e)."""
+        if not self.is_smooth:
+            return np.array([self.at(each) for each in t])
+        ns = np.array([each.ns for each in t], dtype=np.int64)
+        rest = np.array([each.remainder for each in t])
+        angle = self._angles.at_stamps(ns) + np.outer(rest, self._angles.frequency)
+        return np.hstack([np.cos(angle), np.sin(angle), np.ones((len(t), 1))])
 
     def check(self, t: Elapsed) -> None:
         """Check that there is a sample at ``t``, if there are samples.

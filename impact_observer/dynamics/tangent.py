@@ -139,25 +139,35 @@ class Tangent:
         """The phase in which the contacts ``held`` stay closed."""
         return self.phases.phase(self.phases.independent(held))
 
-    def rates(self, t: float, x: Array, held: Contacts) -> tuple[Array, Array]:
-        """``dx/dt`` and its derivative by time of states (..., 2n) at ``t`` s since the epoch."""
-        flow = self.phase(held).flow
-        A, y, d = flow.exponential.A, flow.drive.at(_elapsed(t)), 2 * self.n
-        first = x @ A[:d, :d].T + A[:d, d:] @ y
-        second = first @ A[:d, :d].T + A[:d, d:] @ (A[d:, d:] @ y)
+    def rates(self, t: Sequence[float], x: Array, held: Contacts) -> tuple[Array, Array]:
+        """``dx/dt`` and its derivative by time, shape (K, 2n) each.
+
+        Args:
+            t: K instants, s since the epoch, or a single one.
+            x: states, shape (K, 2n).
+            held: contacts that stay closed.
+        """
+        A, d = self.phase(held).flow.exponential.A, 2 * self.n
+        y = self._driven(t, held)
+        first = x @ A[:d, :d].T + y @ A[:d, d:].T
+        second = first @ A[:d, :d].T + y @ (A[:d, d:] @ A[d:, d:]).T
         return np.asarray(first), np.asarray(second)
 
-    def by_rates(self, t: float, x: Array, held: Contacts) -> Array:
-        """Derivatives of ``dx/dt`` by the parameters, shape (..., 2n, p)."""
-        found, n, d = np.zeros((*x.shape, self.p)), self.n, 2 * self.n
-        flow = self.phase(held).flow
-        y = flow.drive.at(_elapsed(t))
-        z = np.concatenate([x, np.broadcast_to(y, (*x.shape[:-1], y.size))], axis=-1)
-        waves = slice(d + self._waves(held).start, d + self._waves(held).stop)
+    def rate_slope(self, held: Contacts) -> Matrix:
+        """Derivative of ``dx/dt`` by ``x``, shape (2n, 2n)."""
+        d = 2 * self.n
+        return self.phase(held).flow.exponential.A[:d, :d]
+
+    def by_rates(self, t: Sequence[float], x: Array, held: Contacts) -> Array:
+        """Derivatives of ``dx/dt`` by the parameters, shape (K, 2n, p); see ``rates``."""
+        n, d, waves = self.n, 2 * self.n, self._waves(held)
+        A, y = self.phase(held).flow.exponential.A, self._driven(t, held)
+        y = np.broadcast_to(y, (len(x), y.shape[-1]))
+        found, z = np.zeros((*x.shape, self.p)), np.concatenate([x, y], axis=-1)
+        times = np.array([[float(each)] for each in t])
         for j, push in self._pushes(held).items():
-            found[..., n:, j] = z @ push.T
-            late = float(t) * (self._turned(j) @ z[..., waves, None])[..., 0]
-            found[..., n:, j] += late @ flow.exponential.A[n:d, waves].T
+            late = times * (y[:, waves] @ self._turned(j).T)
+            found[:, n:, j] = z @ push.T + late @ A[n:d, d:][:, waves].T
         return found
 
     def flights(self, t: Sequence[float], s: Vector, held: Contacts) -> Maps:
@@ -268,9 +278,13 @@ class Tangent:
                 Gamma[..., n:, j] = (x - after)[..., n:] @ (inverse @ effect.M).T
         return Jumps(after, Phi, Gamma)
 
+    def stops(self, pressed: Contacts) -> Matrix:
+        """``X`` of ``u+ = u- - X gamma-``, which stops the contacts ``pressed``, shape (n, k)."""
+        return self._stops(pressed)[0]
+
     def impulse(self, contact: int) -> Vector:
         """What an impulse that changes the speed of a contact by 1 m/s adds, shape (2n,)."""
-        return np.concatenate([np.zeros(self.n), self._stops((contact,))[0][:, 0]])
+        return np.concatenate([np.zeros(self.n), self.stops((contact,))[:, 0]])
 
     def _made(self, parts: Sequence[tuple[int, Elapsed, float]], held: Contacts) -> Maps:
         """Return flights without a knot within: number, start, and duration of each."""
@@ -280,8 +294,7 @@ class Tangent:
         Phi, drift = np.empty((K, d, d)), np.empty((K, d))
         phi_slopes, drift_slopes = np.zeros((K, p, d, d)), np.zeros((K, p, d))
         t, s = (np.array([float(each[k]) for each in parts]) for k in (1, 2))
-        driven_at = {each: flow.drive.at(each) for each in {each for _, each, _ in parts}}
-        y = np.array([driven_at[each] for _, each, _ in parts]).reshape(K, size - d)
+        y = self._driven([each for _, each, _ in parts], held).reshape(K, size - d)
         often = max(_AT_ONCE // exponential.A.size, 1)
         for some in (slice(k, k + often) for k in range(0, K, often)):
             E, driven = exponential.matrices(s[some]), y[some, :, None]
@@ -293,6 +306,10 @@ class Tangent:
                     turned = self._turned(j) @ y[some, waves, None] * t[some, None, None]
                     drift_slopes[some, j] += (E[:, own, late] @ turned)[..., 0]
         return Maps(Phi, drift, phi_slopes, drift_slopes)
+
+    def _driven(self, t: Sequence[float], held: Contacts) -> Matrix:
+        """Return ``y`` at instants, shape (K, e)."""
+        return self.phase(held).flow.drive.at_each([_elapsed(each) for each in t])
 
     def _waves(self, held: Contacts) -> slice:
         """The cosines and sines of the harmonics within ``y``."""

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from impact_observer import __version__
+from impact_observer.batch import fit_report
+from impact_observer.batch.identification import Identification, identify
+from impact_observer.batch.smooth_bag import BagSmoothing, smooth_bag
 from impact_observer.errors import DynamicsError, IdentificationError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.uncertainty import suggested_deviation
-from impact_observer.identify import fit_report
-from impact_observer.identify.fit_check import FitCheck, check_fit
-from impact_observer.identify.identification import Identification, identify
 from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
 from impact_observer.model import Model, parse_model
@@ -23,7 +23,6 @@ from impact_observer.model.model_file import FITS, ModelText, edited
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.observer import Options
-from impact_observer.smooth.bag_smoothing import BagSmoothing, smooth_bag
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix
 
@@ -115,7 +114,6 @@ class FittedRecording:
         model: the fitted model, or the given one where no motion explains the impacts.
         text: of the model file.
         identification: None where the search found nothing, see ``failure``.
-        check: tests of the identification.
         failure: why there are no values; empty if there are.
         smoothing: of the recording with ``model``.
     """
@@ -123,14 +121,14 @@ class FittedRecording:
     model: Model
     text: str
     identification: Identification | None
-    check: FitCheck | None
     failure: str
     smoothing: BagSmoothing
 
     @property
     def fits(self) -> bool:
         """Whether the model explains the impacts."""
-        return not self.failure and self.check is not None and self.check.fits
+        found = self.identification
+        return not self.failure and found is not None and found.verdict.fits
 
 
 def fit_bag(
@@ -162,7 +160,6 @@ def fit_bag(
         if is_rounding and task.clock_error < 0:
             # Of a periodic motion the rounding repeats itself, which says nothing of the model.
             identification, failure = _identified(task, events, task.resolution, show)
-        check = None if identification is None else check_fit(identification)
         if identification is None or failure:
             text = _unexplained(task.text, task.recording)
         else:
@@ -172,7 +169,7 @@ def fit_bag(
         model = _smoothed_model(task, model, identification)
         options = _options(task, model, identification)
         smoothing = smooth_bag(reader, model, options, smoothed, rate=_rate(events), progress=step)
-    return FittedRecording(model, text, identification, check, failure, smoothing)
+    return FittedRecording(model, text, identification, failure, smoothing)
 
 
 def _identified(
@@ -226,19 +223,20 @@ def _smoothed_model(task: FitTask, model: Model, found: Identification | None) -
     unknown gets a prior that tells little. Where one more number alone makes a misfit fit, this
     number is uncertain by as much as it has to change.
     """
-    if found is None or not found.converged:
+    if found is None or not found.fit.is_settled:
         return model
     known = task.model.uncertainty or ParameterUncertainty((), np.zeros((0, 0)))
     _, changes = task.shifting_together(found.family)
     most = [each.deviation_range[1] for each in found.family.parameters]
     errors = np.minimum(_VAGUE * found.errors, most)
-    cause = () if found.cause is None else (found.cause.name,)
+    made_fit = next((each for each in found.causes if each.fits), None)
+    cause = () if made_fit is None else (made_fit.name,)
     own = [k for k, name in enumerate(found.family.names) if name not in (*known.names, *cause)]
     phases = (np.outer(errors, errors) * (changes @ changes.T))[np.ix_(own, own)]
     blocks = [known.covariance, phases]
-    if found.cause is not None:
+    if made_fit is not None:
         (given,) = parametric_family(model.system, cause, model.elements).parameters
-        change = abs(found.cause.value - given.value)
+        change = abs(made_fit.value - given.value)
         blocks.append(np.array([[min(change, given.deviation_range[1]) ** 2]]))
     names = *known.names, *(found.family.names[k] for k in own), *cause
     return replace(model, uncertainty=ParameterUncertainty(names, block_diag(*blocks)))
@@ -247,8 +245,8 @@ def _smoothed_model(task: FitTask, model: Model, found: Identification | None) -
 def _options(task: FitTask, model: Model, found: Identification | None) -> Options:
     """Return the options of the observer with which the recording is smoothed."""
     clock = task.clock_error
-    if clock < 0 and found is not None and found.converged:
-        clock = found.clock
+    if clock < 0 and found is not None and found.fit.is_settled:
+        clock = found.verdict.clock
     deviation = suggested_deviation(model.system) or Options.initial_deviation
     return Options(
         law="minimum-variance",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impact_observer.batch.fit_report import numbers_told
 from impact_observer.check.model_check import check_model
 from impact_observer.compare.bag_export import impact_rows
 from impact_observer.compare.table_files import write_table
@@ -27,8 +28,6 @@ from impact_observer.fit.recording_picture import (
     signal_picture,
 )
 from impact_observer.fit.sources_file import read_fit_sources, sources_text
-from impact_observer.identify.fit_check import rejections
-from impact_observer.identify.prior import numbers_told
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import time_zero
 from impact_observer.io.observed_bag import events_from
@@ -221,10 +220,13 @@ def _verdict(task: FitTask, fit: FittedRecording, hits: Sequence[ImpactEstimate]
     found = fit.identification
     if found is None or fit.failure:
         return f"does not fit: {fit.failure}; {used}"
-    left = f"stamps differ from the motion by {found.rms:.2g} s rms"
-    if found.declared:
+    residual = float(np.sqrt(np.mean(np.square(found.fit.residuals))))
+    left = f"stamps differ from the motion by {residual:.2g} s rms"
+    if found.verdict.declared is not None:
         why = "declared" if task.clock_error >= 0 else "their resolution"
-        left += f" ({found.clock:.2g} s is {why})"
+        left += f" ({found.verdict.declared:.2g} s is {why})"
+    if found.verdict.scatter:
+        left += f", rebounds scatter by {found.verdict.scatter:.2g}"
     return f"{'fits' if fit.fits else 'does not fit'}: {left}; {used}"
 
 
@@ -244,9 +246,7 @@ def _numbers(task: FitTask, fit: FittedRecording) -> Iterator[str]:
     yield from lines[:_NUMBERS]
     if len(lines) > _NUMBERS:
         yield f"{len(lines) - _NUMBERS} more numbers in fitted.yaml"
-    if (told := numbers_told(known, found.family, found.covariance / found.widened**2)) < len(
-        lines
-    ):
+    if (told := numbers_told(found)) < len(lines):
         yield (
             f"the times tell {told} of these {len(lines)} numbers, or combinations of numbers; the"
             " rest is as given"
@@ -273,13 +273,15 @@ def _motion(fit: FittedRecording, hits: Sequence[ImpactEstimate]) -> Iterator[st
 
 def _doubts(fit: FittedRecording) -> Iterator[str]:
     """Return what makes the numbers or the motion doubtful, the worst first."""
-    if fit.identification is not None and fit.check is not None and not fit.failure:
-        yield from rejections(fit.identification, fit.check)
-    if fit.identification is not None and (cause := fit.identification.cause) is not None:
+    found = fit.identification
+    if found is not None and not fit.failure:
+        yield from found.verdict.reasons
+    for cause in [] if found is None else [each for each in found.causes if each.fits][:1]:
         yield (
             f"with another {cause.name}, {cause.value:.4g}, the model fits: give this number a"
             " deviation in the model file"
         )
     for run in fit.smoothing.runs:
-        yield from filter(None, (run.fallback, run.misfit or run.model_doubt, run.early_doubt[0]))
+        if run.misfit and (found is None or fit.fits):
+            yield run.misfit
     yield from fit.smoothing.problems

@@ -180,7 +180,7 @@ def observability(
         singular=frozen(singular),
         rank=rank,
         undetermined=frozen(_in_all_states(undetermined, scale)),
-        remaining=frozen(undetermined @ errors.at.X.T),
+        remaining=frozen(undetermined @ errors.X.T),
         weakest=frozen(_in_all_states(_with_sign(directions[-1:]), scale)[0]),
         samples=Counter(sensors[s.sensor].name for s in used),
     )
@@ -201,7 +201,7 @@ def _factored(
     Raises:
         ImpactLawError: the impact law has no solution at an event.
     """
-    size = errors.at.X.shape[1]
+    size = errors.X.shape[1]
     factor, singular, first = np.zeros((size, size)), [], 0
     for change in changes:
         last = bisect_left(samples, (change.t,))

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from impact_observer.batch.sample_rows import measured_rows
 from impact_observer.dynamics import ImpactLaw
+from impact_observer.dynamics.tangent import Tangent
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.readings import DeclaredSensor
@@ -14,12 +16,6 @@ from impact_observer.model import Forcing, System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
 from impact_observer.states import Matrix, Vector, frozen
-from impact_observer.trajectory.linearised_system import (
-    FlightEnd,
-    LinearisedSystem,
-    TangentState,
-)
-from impact_observer.trajectory.sample_rows import SampleRows
 
 
 class RankRows:
@@ -29,7 +25,7 @@ class RankRows:
     initial state do not depend on forces.
 
     Attributes:
-        at: the present errors, SI units, as derivatives by initial errors in standard deviations,
+        X: the present errors, SI units, as derivatives by initial errors in standard deviations,
             shape (2n, size).
     """
 
@@ -48,14 +44,13 @@ class RankRows:
             eps=frozen([law.restitution for law in linear]),
             forcing=Forcing.none(system.n),
         )
-        self._system = LinearisedSystem(ParametricFamily(errors, ()), np.zeros(0))
-        self._newton, self._phases = ImpactLaw(system), self._system.moving.phases
+        self._tangent = Tangent(ParametricFamily(errors, ()))
+        self._newton, self._phases = ImpactLaw(system), self._tangent.phases
         self._timescale = self._phases.scales.timescale
-        declared = [each.measurement for each in sensors]
-        self._samples = SampleRows(self._system, declared)
-        orders = [2 if each.acceleration else 1 if each.velocity else 0 for each in declared]
-        self._scales = [self._timescale**order for order in orders]
-        self.at = TangentState(0.0, np.zeros(scale.size), np.diag(scale)[:, scale > 0])
+        self._sensors = [measured_rows(each.measurement, system) for each in sensors]
+        self._t: float = 0.0
+        self._closed: Contacts = ()
+        self.X = np.diag(scale)[:, scale > 0]
 
     def informative(self, change: ContactChange) -> Contacts:
         """The contacts that add rows: those that hit, or a single one that opens by itself."""
@@ -71,23 +66,28 @@ class RankRows:
         Raises:
             ImpactLawError: the impact law has no solution.
         """
-        system, closed = self._system, change.closed
-        at = system.flight(self.at, change.t) if change.t > self.at.t else self.at
+        tangent, closed, n = self._tangent, change.closed, self._tangent.n
+        still = np.zeros(2 * n)
+        if change.t > self._t:
+            self.X = self._moved(change.t - self._t) @ self.X
         if change.hit:
-            rows = [system.gaps(at, change.hit)[1]]
-            end = FlightEnd.of_change(change, self._newton, self._phases)
-            jump = system.impact(at.x, end.pressed) if closed else system.jump(at, end)[0]
-            at = at.mapped(jump, change.t, closed)
+            rows = [tangent.gaps(change.hit).by_x @ self.X]
+            pressed = change.pressed(self._newton, -np.ones(len(change.hit)))
+            self.X = tangent.impact(still, pressed).Phi @ self.X
         else:
             opened = self.informative(change)
+            phase = tangent.phase(self._closed)
             pushed = np.sum(self._phases.B[:, list(opened)] ** 2, axis=0)[:, None]
-            rows = [self._timescale**2 * pushed * system.guard(at, opened, hit=False).rows]
+            loads = phase.loads[[phase.held.index(i) for i in opened]]
+            pulls = np.hstack([tangent.system.K, tangent.system.C])
+            rows = [self._timescale**2 * pushed * (loads @ pulls @ self.X)]
         if closed:
-            rows.append(self._timescale * system.speeds(at, closed))
+            W = tangent.system.W[:, list(closed)].T
+            rows.append(self._timescale * W @ self.X[n:])
             # From here on both motions are on the stop: only errors along it remain.
-            for rest in (system.on_stops, system.at_rest):
-                at = at.mapped(rest(at.x, closed), change.t, closed)
-        self.at = at._replace(closed=closed)
+            self.X[:n] -= self._phases.projection.jump(closed) @ (W @ self.X[:n])
+            self.X = tangent.rest(still, closed).Phi @ self.X
+        self._t, self._closed = change.t, closed
         return np.vstack(rows)
 
     def sampled(self, samples: Sequence[tuple[float, int]]) -> Matrix:
@@ -95,9 +95,15 @@ class RankRows:
 
         ``samples`` are instants, s since the start, and indices of sensors.
         """
-        rows = [np.zeros((0, self.at.X.shape[1]))]
-        times = [np.array([t for t, i in samples if i == k]) for k in range(len(self._scales))]
-        found = self._samples.rows(self.at, times) if samples else []
-        for scale, (_, table) in zip(self._scales, found, strict=False):
-            rows.append(scale * table @ self.at.X)
+        rows, n = [np.zeros((0, self.X.shape[1]))], self._tangent.n
+        rates = self._tangent.rate_slope(self._closed)[n:]
+        for t, index in samples:
+            by_x, by_acceleration, _ = self._sensors[index]
+            order = 2 if np.any(by_acceleration) else 1 if np.any(by_x[n:]) else 0
+            row = (by_x + by_acceleration @ rates) @ self._moved(t - self._t) @ self.X
+            rows.append(self._timescale**order * row[None])
         return np.vstack(rows)
+
+    def _moved(self, s: float) -> Matrix:
+        """Return the transition matrix of ``s`` seconds from the last event on."""
+        return np.asarray(self._tangent.flights([0.0], np.array([s]), self._closed).Phi[0])

@@ -60,38 +60,6 @@ def test_identified_parameters_are_printed_and_written(
     assert "exists already" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("in_tmp_path")
-def test_a_start_inside_a_stop_is_named_with_its_remedy(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The times of a ball begin five seconds before its first bounce; then shortly before it."""
-    flights = 2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(1, 9)
-    times = 5 + np.append(0.0, np.cumsum(flights))
-    Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
-    imported = ["import", "bounces.csv", "--model", "bouncing_ball"]
-    words = ["--free", "restitution", "--clock-error", "1e-6"]
-    assert main([*imported, "-o", "early"]) == 0
-    assert main(["identify", "early", *words]) == 0
-    wrong = "the initial state is inside the stop 'floor': it holds 5 s before the first impact"
-    assert wrong in " ".join(capsys.readouterr().out.split())
-    assert main(["identify", "early", *words, "-o", "ball.yaml", "--initial-state"]) == 1
-    said = capsys.readouterr()
-    wrong_line = " ".join(said.out.split())
-    assert wrong_line.count(wrong) == 1
-    assert "model: ball.yaml, without the initial state" in wrong_line
-    assert said.err == ""
-    np.testing.assert_allclose(read_model("ball.yaml").system.eps, [0.9], rtol=1e-6)
-    Path("ball.yaml").unlink()
-    epoch = re.search(r"repeat import or detect with --epoch ([0-9.]+),", wrong_line)
-    assert epoch is not None
-    assert 5.9 < float(epoch[1]) < 6
-    assert main([*imported, "--epoch", epoch[1], "-o", "late"]) == 0
-    assert main(["identify", "late", *words, "-o", "ball.yaml", "--initial-state"]) == 0
-    height, speed = np.concatenate(read_model("ball.yaml").initial_state())
-    assert height + speed**2 / (2 * 9.81) == pytest.approx(1.0, abs=1e-5)
-
-
 def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Standard output has nothing but the JSON."""
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution", "--json"]
@@ -102,35 +70,7 @@ def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) 
     assert found["value"] == pytest.approx(0.7, rel=1e-6)
     assert results["converged"]
     assert len(results["shifts"]["shift"]) == results["impacts"]
-    assert (results["widened"], results["widened_because"]) == (1.0, [])
-    assert results["held_back"]["carries_over"]
-
-
-@pytest.mark.slow
-def test_a_check_on_the_last_impacts_is_printed(
-    model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The last fifth is predicted by a fit of the others."""
-    words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution"]
-    assert main(words) == 0
-    assert "Checked on the last" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_a_clock_error_that_makes_outliers_is_named(
-    model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The output shows the shifts of the clock, and the factor that widens standard errors.
-
-    A millisecond may well be the error of a clock, so nothing else is doubted.
-    """
-    words = ["identify", bag(ROUGH), "--model", str(model), "--free", "restitution"]
-    assert main([*words, "--clock-error", "1e-6"]) == 1
-    said = " ".join(capsys.readouterr().out.split())
-    assert said.startswith("error The model does not fit: ")
-    assert "warning --clock-error 1e-06 makes outliers: up to " in said
-    assert "times the declared clock error" in said
-    assert "are no errors of a clock" not in said
+    assert results["fits"]
 
 
 @pytest.mark.usefixtures("in_tmp_path")
@@ -146,7 +86,6 @@ def test_too_few_impacts_are_named_and_say_nothing_of_the_clock(
         assert code in {None, found}
         said = " ".join(capsys.readouterr().out.split())
         assert "8 stamps are few for 7 unknowns" in said
-        assert "makes outliers" not in said
 
 
 @pytest.mark.usefixtures("in_tmp_path")
@@ -170,24 +109,6 @@ def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixtu
     assert "0.7" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("in_tmp_path")
-def test_a_start_at_the_first_impact_is_on_its_stop(capsys: pytest.CaptureFixture[str]) -> None:
-    """The first time of the table is 0."""
-    rows = "0.0\n0.812\n1.462\n1.982\n2.398\n2.731\n"
-    Path("bounces.csv").write_text(rows, encoding="utf-8")
-    assert main(["import", "bounces.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
-    words = ["identify", "bag", "--free", "restitution", "--clock-error", "0.001"]
-    assert main(words) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "first impact. But the initial state is on the stop 'floor', as good as" in said
-    epoch = re.search(r"repeat import or detect with --epoch ([0-9.]+),", said)
-    assert epoch is not None
-    given = ["--epoch", epoch[1], "-o", "later"]
-    assert main(["import", "bounces.csv", "--model", "bouncing_ball", *given]) == 0
-    main(["identify", "later", *words[2:]])
-    assert "repeat import" not in capsys.readouterr().out
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_tmp_path")
 def test_the_drop_height_has_the_error_of_least_squares_on_bounce_times(
@@ -207,11 +128,14 @@ def test_the_drop_height_has_the_error_of_least_squares_on_bounce_times(
     capsys.readouterr()
     words = ["identify", "bag", "--check", "--clock-error", f"{clock}"]
     assert main([*words, "--json"]) == 0
-    height, error = json.loads(capsys.readouterr().out)["turning_point"]
+    found = json.loads(capsys.readouterr().out)
+    q, u = found["initial_state"]
+    height, slope = q + u**2 / (2 * g), np.array([1.0, u / g])
+    error = np.sqrt(slope @ np.array(found["covariance"]) @ slope)
     s = np.linalg.lstsq(A, times)[0][1]
     of_s = clock * np.sqrt(np.linalg.inv(A.T @ A)[1, 1])
-    assert height == pytest.approx(g * s**2 / 2, rel=1e-6)
-    assert error == pytest.approx(g * s * of_s, rel=1e-3)
+    assert height == pytest.approx(g * s**2 / 2, rel=1e-4)
+    assert error == pytest.approx(g * s * of_s, rel=1e-2)
 
 
 @pytest.mark.long
@@ -227,8 +151,7 @@ def test_a_model_that_does_not_fit_is_said_first_and_written(
     said = capsys.readouterr()
     first = said.out.splitlines()[0]
     assert first.startswith("error  The model does not fit: ")
-    assert "clock-offset (0.004 s; then" in first
-    assert "Standard errors are widened by a factor of" in said.out
+    assert "clock-offset 0.00" in said.out
     assert "model: late.yaml, though it does not fit" in said.out
     assert said.err == ""
     assert read_model("late.yaml").provenance is not None
@@ -323,7 +246,6 @@ def test_useless_values_are_not_written_and_the_last_line_says_why(
         (["--free", "gap", "--check"], "identifies nothing"),
         (["--check"], "no --clock-error declared"),
         (["--free", "colour"], "colour"),
-        (["--free", "mass-scale,damping-scale,stiffness-scale,forcing-amplitude"], "no impact"),
     ],
 )
 def test_parameters_that_cannot_be_identified_are_an_error_of_one_line(
@@ -345,26 +267,6 @@ def test_the_page_on_fitting_names_every_parameter_of_a_model(model: str) -> Non
         kind, *owner = parameter.name.split(".")
         form = r"\.".join([kind, *("[A-Z]+" for _ in owner)])
         assert re.search(f"`{form}`", page), parameter.name
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("in_tmp_path")
-def test_joints_that_could_be_samples_are_named_where_impacts_alone_explain_nothing(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The topic of the encoder, and not that of the true states, which no rig has."""
-    made = "simulate two_mass --duration 10 --seed 1 --jitter 0.001 --measurements encoder -o rig"
-    assert main(made.split()) == 0
-    model = shared("config/two_mass.yaml").read_text(encoding="utf-8")
-    assert "frequency: 2.5" in model
-    Path("other.yaml").write_text(model.replace("frequency: 2.5", "frequency: 4.1"), "utf-8")
-    given = "--model other.yaml --free restitution --clock-error 0.001"
-    capsys.readouterr()
-    assert main(f"identify rig {given}".split()) == 1
-    said = " ".join(capsys.readouterr().out.split())
-    assert "no motion of the model explains these stamps" in said
-    assert "note: rig has joints on /encoder: if they are of an encoder" in said
-    assert "--measurements FILE" in said
 
 
 def test_a_prior_leaves_no_more_samples_out_near_impacts(

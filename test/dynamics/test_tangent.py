@@ -71,7 +71,7 @@ def test_derivatives_by_all_parameters_are_differences(family: ParametricFamily)
     tangent, x = Tangent(family), _states(family.system.n)
     own = tangent.flights(_T.tolist(), _S, ()).Gamma(x)
     hit = tangent.impact(x, (0,))
-    rates = tangent.by_rates(40.0, x, ())
+    rates = tangent.by_rates([40.0], x, ())
     for j, each in enumerate(family.parameters):
         beside = []
         for sign in (1, -1):
@@ -82,7 +82,7 @@ def test_derivatives_by_all_parameters_are_differences(family: ParametricFamily)
                 (
                     other.flights(_T.tolist(), _S, ()).of(x),
                     other.impact(x, (0,)).x,
-                    other.rates(40.0, x, ())[0],
+                    other.rates([40.0], x, ())[0],
                 )
             )
         for mine, more, less in zip((own, hit.Gamma, rates), *beside, strict=True):

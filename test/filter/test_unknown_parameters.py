@@ -19,13 +19,11 @@ from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.resting import rested
 from impact_observer.filter.unknown_parameters import UnknownParameters
-from impact_observer.identify.shooting import shoot
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer import Observer, Options, law_named, make_observer, options_of_laws
 from impact_observer.plant import Run
-from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
-from impact_observer.trajectory.linearised_system import FlightEnd
+from impact_observer.stamps import NS_PER_S, from_seconds
 
 Array = NDArray[np.float64]
 TRUSTING = {"missed": 0.0, "spurious": 0.0, "mislabelled": 0.0}
@@ -186,33 +184,6 @@ def test_small_errors_are_propagated_by_the_derivatives_of_the_motion(
     assert np.max(np.abs(found.root @ found.root.T - P) / size) < 1e-3
     np.testing.assert_allclose(found.differences, whole @ differences, atol=2e-9)
     np.testing.assert_array_equal(found.constants, unknowns.family.nominal)
-
-
-def test_small_errors_are_corrected_as_by_least_squares() -> None:
-    """The filter's parameters and deviations are those of all impacts fitted at once."""
-    model, true, jitter, size = sample("two_mass").system, truth("two_mass", 12.0), 1e-6, 1e-5
-    free = [f"{name}={size}" for name in ("stiffness-scale", "restitution", "gap")]
-    unknowns = UnknownParameters.named(model, free)
-    rng = np.random.default_rng(8)
-    start = np.concatenate([true.states[0] + size * rng.normal(size=4), unknowns.family.nominal])
-    late = [from_seconds(each) for each in jitter * rng.normal(size=len(true.events))]
-    events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
-    watcher = fed(watching(model, start[:4], free, jitter, deviation=size), events)
-    found = watcher.estimate(events[-1].stamp).parameters
-    # shifts and start are such that all gaps are zero; the sum of squares, each over its own
-    # deviation, is least
-    t = np.array([seconds_between(EPOCH, each.stamp) for each in events])
-    moments = [FlightEnd(float(each), (0,), (0,)) for each in t]
-    shot = shoot(unknowns.family, start, moments, t, 0.0)
-    weights = np.concatenate([np.full(7, size), np.full(t.size, jitter)])
-    rows = np.hstack([shot.by_start, shot.by_instant]) * weights
-    step = weights * np.linalg.lstsq(rows, -shot.gaps, rcond=None)[0]
-    _, _, rest = np.linalg.svd(rows)
-    free_ = rest[len(rows) :] * weights
-    deviations = np.linalg.norm(free_, axis=0)[4:7]
-    values = np.array([value for _, value, _ in found])
-    np.testing.assert_allclose([each for _, _, each in found], deviations, rtol=1e-2)
-    assert np.max(np.abs(values - (start + step[:7])[4:]) / deviations) < 0.05
 
 
 @pytest.mark.slow

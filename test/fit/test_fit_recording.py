@@ -295,7 +295,7 @@ def test_a_phase_that_impacts_do_not_tell_is_uncertain_by_half_a_turn(run: Run, 
     assert fitted.system.eps[0] == pytest.approx(0.7, abs=0.01)
     assert fitted.uncertainty is not None
     deviation = fitted.uncertainty.deviation_by_name["forcing-phase.1"]
-    assert deviation == pytest.approx(np.pi)
+    assert deviation == pytest.approx(np.pi, rel=1e-2)
 
 
 @pytest.mark.parametrize(

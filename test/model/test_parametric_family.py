@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from impact_observer.dynamics import Phases
+from impact_observer.dynamics.tangent import Tangent
 from impact_observer.model import parse_model
 from impact_observer.model.free_parameters import (
     forcing_quadratures,
@@ -12,7 +13,6 @@ from impact_observer.model.free_parameters import (
     parametric_family,
 )
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.trajectory.linearised_system import LinearisedSystem
 
 SHAKEN = """
 name: shaken
@@ -74,7 +74,7 @@ def test_the_parameters_of_a_ground_change_a_flight_as_systems_beside() -> None:
     """The derivative of a motion of three seconds, late after the epoch, by differences."""
     family = parametric_family(parse_model(SHAKEN, "shaken").system, OF_GROUNDS)
     x, t, s = np.array([0.02, -0.01, 0.1, 0.3]), 20.0, 3.0
-    exact = LinearisedSystem(family, family.nominal).flow(t, x, s, ()).Gamma
+    exact = Tangent(family).flights([t], np.array([s]), ()).Gamma(x)[0]
     for j, size in enumerate(family.sizes.tolist()):
         step, ends = 1e-6 * size, []
         for sign in (1, -1):

@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, event, sample
 
+from impact_observer.batch.smoothing import smoothed_runs
 from impact_observer.observer import Observer, make_observer
 from impact_observer.options import Options
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
-from impact_observer.smooth import smoothed_runs
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 

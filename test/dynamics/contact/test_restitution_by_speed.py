@@ -24,13 +24,13 @@ from systems import (
     vectors,
 )
 
+from impact_observer.batch.identification import identify
+from impact_observer.batch.model_edit import changes
 from impact_observer.check.model_check import check_model
 from impact_observer.dynamics import ImpactLaw, lyapunov
 from impact_observer.events import Kind
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
-from impact_observer.identify.identification import identify
-from impact_observer.identify.model_edit import changes
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.model_file import edited, load_yaml
@@ -183,7 +183,7 @@ def test_value_and_exponent_are_identified_and_written_back() -> None:
     wrong = with_curve(model.system, PowerLaw(0.65, 1.0, -0.15, 0.9))
     family = parametric_family(wrong, ["restitution", "restitution-exponent"])
     found = identify(family, list(made.events))
-    assert found.converged
+    assert found.verdict.fits
     np.testing.assert_allclose(found.values, [0.7, -0.25], rtol=1e-4)
     for text in (model.text(), replace(model, element_form={}).text()):
         document = load_yaml(text)

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The search for the account of a recording, and the motion that explains the account best.
+
+All events as reported come first. Where no motion is found by which single events can be judged, a
+filter goes through the recording, with the given parameters and then with the fitted ones. Each
+account is revised by its own motion: a stamp far off is spurious, and a motion through a stop has
+missed an impact.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+
+from impact_observer.batch.moments import Moments
+from impact_observer.batch.motion_fit import LOST, BatchProblem, MotionFit, fitted
+from impact_observer.batch.revision import revised
+from impact_observer.batch.verdict import FitVerdict, verdict_on
+from impact_observer.errors import DynamicsError
+from impact_observer.model.free_parameters import is_phase
+from impact_observer.options import Options
+from impact_observer.states import Vector
+
+ByFilter = Callable[[Vector, float], Moments]
+"""The account of a filter with parameters, shape (p,), and their deviations over their sizes."""
+_SHARES = 0.1, 0.03, 0.01
+"""Deviations of parameters over their sizes in the filters that make accounts."""
+_REVISIONS = 6
+"""Most revisions of an account."""
+_WORTH = 5.0
+"""Logarithm of the odds by which each further change of an account must be worth more."""
+_PHASES = 8
+"""Phases of an unknown drive with which searches begin."""
+_UNKNOWN_PHASE = 1.0
+"""Deviation of a phase from which on all phases are tried, rad."""
+_FIRST_ROUNDS = 4
+"""Linearisations by which phases are compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """An account of a recording, its motion, and whether the model fits.
+
+    Attributes:
+        fit: the motion.
+        verdict: on the motion.
+        evidence: logarithm of the density of the recording by the account.
+    """
+
+    fit: MotionFit
+    verdict: FitVerdict
+    evidence: float
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether no motion was found by which single events can be judged."""
+        return not self.fit.is_settled or self.verdict.model > LOST
+
+    def is_better_than(self, other: "Explanation") -> bool:
+        """Whether the account is likelier than ``other``: by more if it changes more events."""
+        if self.verdict.fits != other.verdict.fits:
+            return self.verdict.fits
+        more = self.fit.problem.moments.changed - other.fit.problem.moments.changed
+        return self.evidence > other.evidence + _WORTH * max(more, 0)
+
+
+def explanation(
+    problem: BatchProblem,
+    by_filter: ByFilter | None = None,
+    *,
+    options: Options,
+    show: Callable[[str], None] = lambda _: None,
+) -> Explanation:
+    """Search the account that explains a recording best.
+
+    Args:
+        problem: with the moments as reported.
+        by_filter: the account of a filter; None to trust all events.
+        options: probabilities of missed and spurious impacts.
+        show: receives what is being done.
+
+    Raises:
+        DynamicsError: no motion at all was found.
+    """
+    reported, tried = problem.moments, list[Moments]()
+    best: Explanation | None = None
+    for share in (None, *(_SHARES if by_filter else ())):
+        theta, moments = None, reported
+        if share is not None and by_filter is not None:
+            theta = best.fit.values if best and share != _SHARES[0] else None
+            moments = by_filter(problem.family.nominal if theta is None else theta, share)
+        if any(_alike(moments, each) for each in tried):
+            continue
+        tried.append(moments)
+        try:
+            found = _revised(replace(problem, moments=moments), theta, reported, options, show)
+        except (DynamicsError, np.linalg.LinAlgError):
+            continue
+        if best is None or found.is_better_than(best):
+            best = found
+        if best.verdict.fits or not best.is_lost:
+            break
+    if best is None:
+        raise DynamicsError("no motion explains the impacts")
+    return best
+
+
+def _revised(
+    problem: BatchProblem,
+    theta: Vector | None,
+    reported: Moments,
+    options: Options,
+    show: Callable[[str], None],
+) -> Explanation:
+    """Return the account of a problem, revised as long as this makes the account likelier."""
+    best = _explained(_from_phases(problem, theta, show), reported, options)
+    for _ in range(_REVISIONS):
+        moments = None if best.is_lost else revised(best.fit)
+        if moments is None:
+            break
+        fit = fitted(replace(problem, moments=moments), theta=best.fit.values, show=show)
+        found = _explained(fit, reported, options)
+        if not found.is_better_than(best):
+            break
+        best = found
+    return best
+
+
+def _from_phases(
+    problem: BatchProblem, theta: Vector | None, show: Callable[[str], None]
+) -> MotionFit:
+    """Return the best motion of searches that begin with all phases of an unknown drive."""
+    family = problem.family
+    deviations = np.sqrt(np.sum(problem.theta**2, axis=1))
+    unknown = [
+        j
+        for j, name in enumerate(family.names)
+        if is_phase(name) and deviations[j] >= _UNKNOWN_PHASE
+    ]
+    if theta is not None or not unknown:
+        return fitted(problem, theta=theta, show=show)
+    begun = []
+    for turn in np.arange(_PHASES) * 2 * np.pi / _PHASES:
+        start = family.nominal.copy()
+        start[unknown] += turn
+        try:
+            begun.append(fitted(problem, theta=start, show=show, rounds=_FIRST_ROUNDS))
+        except (DynamicsError, np.linalg.LinAlgError):
+            continue
+    if not begun:
+        raise DynamicsError("no motion explains the impacts")
+    given, *others = (
+        fitted(problem, each, show=show)
+        for each in (begun[0], *sorted(begun[1:], key=lambda fit: -fit.log_density)[:2])
+    )
+    # a periodic motion may have several phases: the one from the given value is preferred
+    best = max(others, key=_density, default=given)
+    is_better = best.is_settled and best.log_density > given.log_density + _WORTH
+    return best if is_better or (best.is_settled and not given.is_settled) else given
+
+
+def _density(fit: MotionFit) -> tuple[bool, float]:
+    return fit.is_settled, fit.log_density
+
+
+def _explained(fit: MotionFit, reported: Moments, options: Options) -> Explanation:
+    """Return the motion with its evidence and verdict."""
+    moments = fit.problem.moments
+    inserted = sum(not each.is_measured for each in moments.each)
+    rejected = reported.row_moment.size - moments.row_moment.size
+    flight = float(np.mean(reported.flights)) or 1.0
+    missed, spurious = max(options.missed, 1e-6), max(options.spurious, 1e-6)
+    evidence = fit.log_density + inserted * log(missed) + max(rejected, 0) * log(spurious / flight)
+    return Explanation(fit, verdict_on(fit), evidence)
+
+
+def _alike(one: Moments, other: Moments) -> bool:
+    """Return whether two accounts are the same."""
+    return len(one.each) == len(other.each) and all(
+        a.switching == b.switching and a.is_measured == b.is_measured and a.t == b.t
+        for a, b in zip(one.each, other.each, strict=True)
+    )

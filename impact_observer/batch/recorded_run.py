@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of the sender in a recording: its events, and accounts of their meaning."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from impact_observer.batch.filter_account import EventAccount
+from impact_observer.batch.moments import Moment, Moments, MomentSwitching
+from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.events import MISLABELLED, ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.model import System
+from impact_observer.model.free_parameters import is_observed
+from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.observer.episode import changes
+from impact_observer.observer.event_order import EventKey, keys_of
+from impact_observer.stamps import Elapsed
+from impact_observer.states import Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedRun:
+    """The events of one run of the sender.
+
+    Attributes:
+        system: the system that they are of.
+        events: in order of reception.
+        epoch: stamp of ``t = 0`` of the forcing, ns.
+        start: stamp of the initial state, ns.
+        keys: the events, each once and in order, from the start on.
+    """
+
+    system: System
+    events: Sequence[ImpactEvent]
+    epoch: int
+    start: int
+    keys: Sequence[EventKey]
+
+    @classmethod
+    def of(cls, system: System, events: Sequence[ImpactEvent], epoch: int = 0) -> "RecordedRun":
+        """The run of ``events``; the initial state is at the epoch if the first event is there."""
+        epoch = epoch or max(each.epoch for each in events)
+        first = min((e.sequence for e in events if e.sequence), default=0)
+        begun = min(each.stamp for each in events)
+        start = epoch if epoch and first <= 1 and epoch <= begun else begun
+        index = {name: i for i, name in enumerate(system.contact_names)}
+        keys = [key for key in keys_of(events, index) if key.stamp >= start]
+        return cls(system, events, epoch or start, start, keys)
+
+    def reported(self) -> Moments:
+        """The moments if all events are as they were reported."""
+        return self._moments([(c, True) for c in changes(self.keys, self.epoch)])
+
+    def by_filter(self, account: EventAccount) -> Moments:
+        """The moments as a filter has understood the events."""
+        return self._moments([(each.change, not each.is_inserted) for each in account.moments])
+
+    def verdicts(self, moments: Moments) -> Iterator[Verdict]:
+        """The verdicts on all events by an account, in the order of stamps."""
+        names, found = self.system.contact_names, list[Verdict]()
+        own = {(each.stamp, each.sequence): each for each in moments.each if each.is_measured}
+        for key in self.keys:
+            moment = own.get((key.stamp, key.sequence))
+            switching = moment.switching if moment else MomentSwitching((), ())
+            struck = {*switching.hit}
+            for i, kind in key.switches:
+                ruling, reason = Ruling.APPLIED, ""
+                if kind is not Kind.OPEN and i not in struck:
+                    other = struck - {j for j, _ in key.switches}
+                    ruling = Ruling.APPLIED if other else Ruling.REJECTED
+                    reason = f"{MISLABELLED}{names[min(other)]}" if other else "no motion has it"
+                found.append(Verdict(key.stamp, ruling, key.sequence, names[i], reason))
+        for moment in moments.each:
+            if not moment.is_measured:
+                found += [
+                    Verdict(moment.stamp, Ruling.INSERTED, contact=names[i], reason="missed")
+                    for i in moment.switching.hit
+                ]
+        foreign = {
+            Verdict(each.stamp, Ruling.UNKNOWN_CONTACT, each.sequence, switch.contact)
+            for each in self.events
+            for switch in each.switches
+            if switch.contact not in names
+        }
+        yield from sorted([*found, *foreign], key=lambda v: (v.stamp, v.sequence))
+
+    def _moments(self, every: Sequence[tuple[ContactChange, bool]]) -> Moments:
+        newton, phases, found = ImpactLaw(self.system), Phases(self.system), list[Moment]()
+        for change, is_measured in every:
+            if change.is_nothing:
+                continue
+            towards = -np.ones(len(change.hit))
+            pressed = change.pressed(newton, towards) if change.hit else ()
+            closed = phases.independent(change.before), phases.independent(change.closed)
+            switching = MomentSwitching(change.hit, pressed, *closed)
+            t = Elapsed(change.stamp - self.epoch)
+            found.append(Moment(t, switching, is_measured, change.stamp, change.sequence))
+        return Moments(Elapsed(self.start - self.epoch), found)
+
+
+def filter_family(family: ParametricFamily, theta: Vector) -> ParametricFamily:
+    """The family about other values, in the order that a filter needs: what moves comes first."""
+    parameters = [
+        replace(each, value=value)
+        for each, value in zip(family.parameters, theta.tolist(), strict=True)
+        if is_observed(each.name)
+    ]
+    own = family.near(theta) if family.size else family.system
+    return ParametricFamily(own, tuple(sorted(parameters, key=lambda each: not each.moves)))

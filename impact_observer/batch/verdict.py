@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a model explains a recording: what is left is a clock, a scatter, or the model."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from impact_observer.batch.motion_fit import LARGEST_CLOCK, ROUNDED, MotionFit
+from impact_observer.states import Vector
+
+UNLIKELY = 1e-6
+"""Probability of what is left under the model below which the model is rejected."""
+LARGEST_MODEL_ERROR = 1e-3
+"""Largest error of accelerations with which a model fits, over the usual ones."""
+_LARGEST_SCATTER = 0.1
+"""Largest scatter of rebounds with which a model fits: rigs have 0.01 to 0.05."""
+_OF_FLIGHTS = 0.02
+"""Part of the median flight above which no error of stamps is one of a clock."""
+_LAGS = 10
+"""Most lags of the tested autocorrelations."""
+_UNREACHED = 0.1
+"""Part of the impacts above which those that a motion does not reach speak against a model."""
+_OUTLIERS = 1 / 3
+"""Part of the events above which rejected and inserted ones speak against a model."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitVerdict:
+    """Whether a model explains a recording.
+
+    Attributes:
+        reasons: why it does not, a line each; none where it fits.
+        clock: standard deviation of the stamps that the recording shows, s.
+        declared: the declared one, s; None without.
+        scatter: standard deviation of a rebound over the speed of approach.
+        model: error of accelerations, over the usual ones.
+        size: probability of residuals of this size under the declared clock; 1 without one.
+        white: probability of autocorrelations of this size of independent residuals.
+    """
+
+    reasons: tuple[str, ...]
+    clock: float
+    declared: float | None
+    scatter: float
+    model: float
+    size: float
+    white: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether nothing speaks against the model."""
+        return not self.reasons
+
+
+def verdict_on(fit: MotionFit) -> FitVerdict:
+    """Judge a motion and the sizes of its noises."""
+    clock, scatter, model = (float(each[0]) for each in fit.sizes)
+    declared, nu = fit.problem.clock, fit.innovations[0]
+    size = 1.0
+    if declared is not None and nu.size:
+        size = float(stats.chi2.sf(np.sum(nu**2), nu.size))
+    least = max(2 * ROUNDED, (declared or 0.0) / 2)
+    is_rounding = float(np.sqrt(np.mean(fit.residuals**2))) <= least if nu.size else True
+    white = 1.0 if is_rounding else whiteness(nu)
+    found = FitVerdict((), clock, declared, scatter, model, size, white)
+    return FitVerdict(tuple(_reasons(fit, found)), clock, declared, scatter, model, size, white)
+
+
+def whiteness(values: Vector) -> float:
+    """Ljung and Box's probability of the autocorrelations of ``values`` (Biometrika 65, 1978)."""
+    K, power = values.size, float(np.sum(values**2))
+    lags = max(1, min(_LAGS, K // 3))
+    if power == 0.0 or lags >= K:
+        return 1.0
+    lag = np.arange(1, lags + 1)
+    rho = np.array([float(values[k:] @ values[:-k]) for k in lag]) / power
+    return float(stats.chi2.sf(K * (K + 2) * np.sum(rho**2 / (K - lag)), lags))
+
+
+def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
+    """Yield what speaks against a model, a line each."""
+    moments = fit.problem.moments
+    flight = float(np.median(np.append(moments.flights[moments.flights > 0], np.inf)))
+    if not fit.is_settled:
+        yield "the search for a motion has not settled"
+    if found.model > LARGEST_MODEL_ERROR:
+        yield f"flights miss by {found.model:.2g} of the accelerations"
+    if found.scatter > _LARGEST_SCATTER:
+        yield f"rebounds scatter by {found.scatter:.2g} of the speed of approach"
+    if found.declared is None and found.clock > min(0.9 * LARGEST_CLOCK, _OF_FLIGHTS * flight):
+        yield f"stamps differ by {found.clock:.2g} s, and no --clock-error is declared"
+    if found.size < UNLIKELY:
+        yield f"stamps differ by more than the declared clock error (chance {found.size:.1g})"
+    if found.white < UNLIKELY:
+        yield f"what is left at successive stamps is correlated (chance {found.white:.1g})"
+    lost = int(np.sum(~fit.motion.is_regular[moments.row_moment]))
+    if lost > _UNREACHED * moments.row_moment.size:
+        yield f"the motion does not reach {lost} of {moments.row_moment.size} impacts"
+    speeds = fit.motion.speed
+    if speeds.size and float(np.median(speeds)) > 0:
+        yield "contacts open where they should close: the motion is on the other side of a stop"
+    yield from _of_sensors(fit)
+    changed = moments.changed
+    if changed > _OUTLIERS * max(moments.count, 1):
+        yield f"{changed} of {moments.count} impacts had to be inserted"
+
+
+def _of_sensors(fit: MotionFit) -> Iterator[str]:
+    """Yield the sensors whose errors are too large."""
+    every = fit.samples.errors(fit.back.nodes.mean[1::2])
+    for index, sensor in enumerate(fit.problem.samples):
+        own = fit.samples.sensor == index
+        errors = every[own] / sensor.deviation
+        if own.any() and stats.chi2.sf(float(np.sum(errors**2)), int(own.sum())) < UNLIKELY:
+            ratio = float(np.sqrt(np.mean(errors**2)))
+            yield f"errors of {sensor.measurement.name} are {ratio:.2g} times the declared ones"
