@@ -21,6 +21,7 @@ from systems import (
     sample,
     switched,
     switchings,
+    system,
     systems,
     vectors,
 )
@@ -158,6 +159,24 @@ def test_geometric_law_also_closes_the_gap() -> None:
     np.testing.assert_allclose(found, [0.1 + 0.15, 0.5, 1.0, -1.4], rtol=1e-12)
 
 
+@pytest.mark.parametrize("law", [Kinematic, Geometric, Unilateral])
+@pytest.mark.parametrize(("active", "closed"), [((1,), ()), ((0, 1), ()), ((0, 1), (1,))])
+def test_bits_of_a_replica_do_not_depend_on_the_others(
+    law: type[ReplicaLaw], active: tuple[int, ...], closed: tuple[int, ...]
+) -> None:
+    """Many replicas jump as each of them does alone."""
+    random = np.random.default_rng(5)
+    W = random.normal(size=(4, 2))
+    model = system(
+        *(np.diag(random.uniform(1, 2, 4)) for _ in range(3)),
+        contacts=[(W[:, 0], 0.1, 0.5), (W[:, 1], 0.2, 0.5)],
+    )
+    replica, x = law(model), random.normal(size=(5, 7, 8))
+    found = replica.impact(x, active, closed)
+    for k in np.ndindex(5, 7):
+        np.testing.assert_array_equal(found[k], replica.impact(x[k], active, closed))
+
+
 class Mirror(ReplicaLaw):
     """A law of another package."""
 
@@ -169,7 +188,9 @@ class Mirror(ReplicaLaw):
         return -x
 
 
-@pytest.mark.parametrize(("method", "inherited"), [("impact", "impacts"), ("motion", "phase")])
+@pytest.mark.parametrize(
+    ("method", "inherited"), [("impact", "impact_ensemble"), ("motion", "phase")]
+)
 def test_law_that_inherits_half_of_another_law_is_refused(method: str, inherited: str) -> None:
     """Else its replicas would move by two laws. The error names both methods and the remedy."""
     message = (
@@ -183,7 +204,6 @@ def test_law_that_inherits_half_of_another_law_is_refused(method: str, inherited
 class Halfway(Geometric):
     """A law that redefines ``impact``, and with it what must agree with an impact."""
 
-    impacts = ReplicaLaw.impacts
     impact_ensemble = ReplicaLaw.impact_ensemble
     energy_removed = ReplicaLaw.energy_removed
 

@@ -36,7 +36,7 @@ class HybridGain(ReplicaLaw):
     def impact(self, x: Array, active: tuple[int, ...], closed: tuple[int, ...]) -> Array:
         """Their law; there is one contact."""
         del active, closed
-        return np.asarray(JUMP @ x + self.gain * (0.0 - x[0]))
+        return np.asarray(x @ JUMP.T + self.gain * (0.0 - x[..., :1]))
 
 
 class PositionReset(HybridGain):

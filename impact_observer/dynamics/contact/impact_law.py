@@ -62,20 +62,23 @@ class ImpactLaw:
         return ImpactLaw(self.system, np.zeros(self.system.m))
 
     def velocity_after(self, u: Vector, active: Sequence[int]) -> Vector:
-        """Velocities ``u+`` after an impact on the ``active`` contacts, shape (n,), m/s.
+        """Velocities ``u+`` after an impact on the ``active`` contacts, shape (..., n), m/s.
 
-        The result equals ``u`` if all active contacts separate already.
+        The result equals ``u`` if all active contacts separate already. The bits of one state do
+        not depend on the others.
 
         Raises:
             ImpactLawError: the law has no solution on these contacts.
         """
         if len(active) == 1:
             i = active[0]
-            gamma = self.system.W[:, i].dot(u)
+            gamma = u[..., None, :] @ self.system.W[:, i]  # (..., 1), one product a state
             if i in self._special:
-                lost = gamma + float(self._laws[i].rebound(gamma))
-                return np.asarray(u - self._stopped[i] * lost) if lost < 0 else u
-            return u - self._kicks[i] * gamma if gamma < 0 else u
+                lost = np.minimum(gamma + self._laws[i].rebound(gamma), 0.0)
+                return np.asarray(u - lost * self._stopped[i])
+            return np.asarray(u - np.minimum(gamma, 0.0) * self._kicks[i])
+        if u.ndim > 1:
+            return np.asarray(np.apply_along_axis(self.velocity_after, -1, u, active))
         return np.asarray(u + self._Minv_W[:, list(active)] @ self.impulses(u, active))
 
     def velocity_held(self, u: Vector, active: Sequence[int], closed: Sequence[int]) -> Vector:
@@ -87,14 +90,16 @@ class ImpactLaw:
         for all of them.
 
         Returns:
-            Shape (n,), m/s, with ``gamma+ >= 0`` on ``closed`` but for rounding.
+            Shape (..., n), m/s, with ``gamma+ >= 0`` on ``closed`` but for rounding.
 
         Raises:
             ImpactLawError: the law has no solution on these contacts.
         """
-        after = self.velocity_after(u, active)
         if not closed:
-            return after
+            return self.velocity_after(u, active)
+        if u.ndim > 1:
+            return np.asarray(np.apply_along_axis(self.velocity_held, -1, u, active, closed))
+        after = self.velocity_after(u, active)
         contacts, speed = list(closed), np.sqrt(u @ self.system.M @ u)
         W, length = self.system.W[:, contacts], np.linalg.norm(self._B[:, contacts], axis=0)
         for _ in range(_REPEATS):
@@ -102,21 +107,6 @@ class ImpactLaw:
                 return after
             after = self.velocity_after(after, closed)
         return self.plastic.velocity_after(after, closed)
-
-    def velocities_held(self, U: Matrix, active: Sequence[int], closed: Sequence[int]) -> Matrix:
-        """``velocity_held`` of many replicas at once: ``U`` and result of shape (replicas, n).
-
-        Raises:
-            ImpactLawError: the law has no solution on these contacts for one of them.
-        """
-        if len(active) == 1 and not closed:
-            i = active[0]
-            gamma = U @ self.system.W[:, i]
-            if i in self._special:
-                lost = np.minimum(gamma + self._laws[i].rebound(gamma), 0.0)
-                return np.asarray(U - lost[:, None] * self._stopped[i])
-            return np.asarray(U - np.minimum(gamma, 0.0)[:, None] * self._kicks[i])
-        return np.array([self.velocity_held(u, active, closed) for u in U]).reshape(U.shape)
 
     def pressed(self, active: Sequence[int], hit: Sequence[int], gamma: Vector) -> Contacts:
         """The contacts that take an impulse in an impact of the plant, as sorted indices.

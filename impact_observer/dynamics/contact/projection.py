@@ -57,7 +57,7 @@ class PositionProjection:
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (..., n): the closest positions with ``g = 0`` on the active contacts."""
         Z, _, W, q_r = self._jumps(active)
-        return np.asarray(q - (q.dot(W) + q_r).dot(Z.T))
+        return np.asarray(q - ((q[..., None, :] @ W + q_r) @ Z.T)[..., 0, :])
 
     def strain(self, q: Vector, active: tuple[int, ...]) -> float:
         """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""

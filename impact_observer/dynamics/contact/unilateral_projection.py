@@ -54,11 +54,13 @@ class UnilateralProjection:
         return np.asarray(np.abs(self._system.q_r) + np.abs(q) @ np.abs(self._system.W))
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
-        """``q+``, shape (n,): ``g = 0`` on the ``active`` contacts and no gap negative.
+        """``q+``, shape (..., n): ``g = 0`` on the ``active`` contacts and no gap negative.
 
         Without such a position no plant can have this ``chi``: then only ``g = 0`` on ``active``
         holds, and other gaps may be negative.
         """
+        if q.ndim > 1:
+            return np.asarray(np.apply_along_axis(self.position_after, -1, q, active))
         after = self._projection.position_after(q, active)
         # One coordinate is rounded against the others that move with it.
         reach = np.full(q.size, np.max(np.abs(q) + np.abs(after)))

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Switched geometric unilateral constraints: the contribution of the ENOC paper."""
 
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
+from scipy import linalg
 
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
+from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.events import Contacts
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.moving_system import MovingSystem
@@ -16,6 +19,8 @@ from impact_observer.states import Matrix, Vector
 
 _FADED = 1e-100
 """Difference of replicas that is as good as zero: denormal numbers are slow."""
+_MOST_LOST = np.array([np.inf, 0.0])
+"""What an impact takes at most of gap and speed: any gap, no speed of separation."""
 
 
 class Geometric(ReplicaLaw):
@@ -39,25 +44,18 @@ class Geometric(ReplicaLaw):
         super().__init__(system, uncertainty, moving)
         self._newton = ImpactLaw(system)
         self._projection = self._clutches.phases.projection
+        self._single = lru_cache(KEPT)(self._single_of)
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``q+`` by projection, ``u+`` by Newton's law."""
         if self._is_single(active, closed):
             return self._after_one(active[0], x)
         n = self.system.n
-        position = self._projection.position_after(x[:n], active)
+        position = self._projection.position_after(x[..., :n], active)
         if closed and closed != active:  # if not all gaps can be zero, those of ``closed`` are
             position = self._projection.position_after(position, closed)
-        return np.concatenate([position, self._newton.velocity_held(x[n:], active, closed)])
-
-    def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """The jumps of many replicas at once."""
-        n = self.system.n
-        positions = self._projection.position_after(replicas[:, :n], active)
-        if closed and closed != active:
-            positions = self._projection.position_after(positions, closed)
-        velocities = self._newton.velocities_held(replicas[:, n:], active, closed)
-        return np.concatenate([positions, velocities], axis=1)
+        velocity = self._newton.velocity_held(x[..., n:], active, closed)
+        return np.concatenate([position, velocity], axis=-1)
 
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
@@ -89,10 +87,16 @@ class Geometric(ReplicaLaw):
         return self.system.W[:, contact], z, self._newton.kick(contact)
 
     def _after_one(self, contact: int, x: Vector) -> Vector:
-        """A replica, shape (2n,), after the impact of one contact."""
-        (w, z, kick), n = self._jump(contact), self.system.n
-        gap, gamma = w.dot(x[:n]) + self.system.q_r[contact], w.dot(x[n:])
-        return np.concatenate([x[:n] - gap * z, x[n:] - min(gamma, 0.0) * kick])
+        """Replicas, shape (..., 2n), after the impact of one contact."""
+        rows, offset, jumps = self._single(contact)
+        lost = np.minimum(x[..., None, :] @ rows + offset, _MOST_LOST)  # (..., 1, 2)
+        return np.asarray(x - (lost @ jumps)[..., 0, :])
+
+    def _single_of(self, contact: int) -> tuple[Matrix, Vector, Matrix]:
+        """Gap and speed as functions of a state, (2n, 2) and (2,); their jumps, (2, 2n)."""
+        w, z, kick = self._jump(contact)
+        offset = np.array([self.system.q_r[contact], 0.0])
+        return linalg.block_diag(w, w).T, offset, linalg.block_diag(z, kick)
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed."""

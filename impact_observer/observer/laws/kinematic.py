@@ -10,7 +10,7 @@ from impact_observer.events import Contacts
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.laws.replica_law import ReplicaLaw
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 
 class Kinematic(ReplicaLaw):
@@ -31,13 +31,8 @@ class Kinematic(ReplicaLaw):
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``u+`` by Newton's law, ``q+ = q-``."""
         n = self.system.n
-        return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
-
-    def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """The jumps of many replicas at once."""
-        n = self.system.n
-        velocities = self._newton.velocities_held(replicas[:, n:], active, closed)
-        return np.hstack([replicas[:, :n], velocities])
+        after = self._newton.velocity_held(x[..., n:], active, closed)
+        return np.concatenate([x[..., :n], after], axis=-1)
 
     def phase(self, closed: Contacts) -> Phase | None:
         """Free flight; None where clutches may slip, as they do at different times."""

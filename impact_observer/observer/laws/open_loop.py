@@ -16,7 +16,7 @@ class OpenLoop(ReplicaLaw):
     uses_events: ClassVar[bool] = False
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
-        """The same state."""
+        """The same states."""
         del active, closed
         return x
 

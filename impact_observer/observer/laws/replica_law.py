@@ -39,7 +39,7 @@ class ReplicaLaw(Law):
             TypeError: a method of another law would be used beside a method of ``cls``.
         """
         super().__init_subclass__()
-        own, impact = vars(cls), ("impacts", "impact_ensemble", "energy_removed")
+        own, impact = vars(cls), ("impact_ensemble", "energy_removed")
         for method, others in (("impact", impact), ("motion", ("phase",))):
             for other in others if method in own else ():
                 if other in own or getattr(cls, other) is getattr(ReplicaLaw, other):
@@ -65,15 +65,15 @@ class ReplicaLaw(Law):
 
     @abstractmethod
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
-        """One replica's state after an impact of the plant.
+        """States after an impact of the plant, of one replica or of many at once.
 
         Args:
-            x: the replica's state (q-, u-), shape (2n,); not changed.
+            x: the replicas' states (q-, u-), shape (..., 2n); not changed.
             active: indices of the contacts with ``chi = 1`` at this instant, ascending.
             closed: indices of those with ``chi = 1`` from now on, a part of ``active``.
 
         Returns:
-            (q+, u+), shape (2n,).
+            (q+, u+), of the shape of ``x``.
 
         Raises:
             ImpactLawError: the impact law has no solution on these contacts.
@@ -93,13 +93,8 @@ class ReplicaLaw(Law):
         return None
 
     def admissible(self, x: Vector) -> Vector:
-        """The initial state, shape (2n,), of a replica that is given ``x``; by default ``x``."""
+        """Initial states, shape (..., 2n), of replicas that are given ``x``; by default ``x``."""
         return x
-
-    def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """``impact`` of many replicas, shape (N, 2n)."""
-        after = [self.impact(x, active, closed) for x in replicas]
-        return np.reshape(after, replicas.shape)
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """Energy that an impact certainly removes from V, whatever the plant's state is, J.
@@ -112,9 +107,9 @@ class ReplicaLaw(Law):
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """Admissible replicas; the bound fails for one initial error in a million."""
-        replicas = np.array([self.admissible(x) for x in replicas])
+        replicas = self.admissible(replicas)
         if closed:
-            replicas = self.impacts(replicas, closed, closed)
+            replicas = self.impact(replicas, closed, closed)
         n = self.system.n
         weighted = np.vstack([self.system.K @ root[:n], self.system.M @ root[n:]])
         largest = float(np.linalg.eigvalsh(root.T @ weighted)[-1])
@@ -147,9 +142,9 @@ class ReplicaLaw(Law):
         return Ensemble.of(np.concatenate([x[None], others]))
 
     def _impacts_if_solvable(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """``impacts``; a replica whose impact has no solution keeps its state."""
+        """``impact``; a replica whose impact has no solution keeps its state."""
         try:
-            return self.impacts(replicas, active, closed)
+            return self.impact(replicas, active, closed)
         except ImpactLawError:
             if len(replicas) == 1:
                 return replicas

@@ -40,7 +40,7 @@ class Unilateral(Geometric):
         self._unilateral = self._sweeping.projection
 
     def admissible(self, x: Vector) -> Vector:
-        """The nearest state without a negative gap."""
+        """The nearest states without a negative gap."""
         return self._projected(x, ())
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
@@ -49,9 +49,9 @@ class Unilateral(Geometric):
         x = self._projected(x, active)
         if closed != active:  # if not all gaps can be zero, those of ``closed`` are
             x = self._projected(x, closed)
-        return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
+        velocity = self._newton.velocity_held(x[..., n:], active, closed)
+        return np.concatenate([x[..., :n], velocity], axis=-1)
 
-    impacts = ReplicaLaw.impacts
     impact_ensemble = ReplicaLaw.impact_ensemble
     phase = ReplicaLaw.phase
 
@@ -66,8 +66,8 @@ class Unilateral(Geometric):
             return super().correct(change, self._approaching(prior, (*change.before, *alone)))
         if self._unilateral.is_possible(change.before):
             return super().correct(change, prior)
-        replicas = [self._projected(x, change.closed) for x in prior.replicas]
-        return prior._replace(ensemble=Ensemble.of(np.array(replicas)))
+        replicas = self._projected(prior.replicas, change.closed)
+        return prior._replace(ensemble=Ensemble.of(replicas))
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """The impact of ``geometric`` for contacts that can all be closed at once."""
@@ -80,21 +80,23 @@ class Unilateral(Geometric):
     def _approaching(self, belief: Belief, contacts: Contacts) -> Belief:
         """No replica separates at ``contacts``; the bound falls by the energy removed."""
         n = self.system.n
-        replicas = belief.replicas
-        for x in replicas:
-            x[n:] = self.nearest_approaching(x[n:], tuple(sorted({*contacts})))
+        replicas, active = belief.replicas, tuple(sorted({*contacts}))
+        replicas[:, n:] = self.nearest_approaching(replicas[:, n:], active)
         u = replicas[0, n:] - belief.x[n:]
         removed = float(u @ self.system.M @ u) / 2
         bound = None if belief.bound is None else belief.bound - removed
         return self._checked(belief._replace(ensemble=Ensemble.of(replicas), bound=bound))
 
     def _projected(self, x: Vector, active: Contacts) -> Vector:
-        """The nearest state with ``g = 0`` on ``active`` and no gap negative."""
+        """The nearest states with ``g = 0`` on ``active`` and no gap negative."""
         n = self.system.n
-        return np.concatenate([self._unilateral.position_after(x[:n], active), x[n:]])
+        position = self._unilateral.position_after(x[..., :n], active)
+        return np.concatenate([position, x[..., n:]], axis=-1)
 
     def nearest_approaching(self, u: Vector, active: Contacts) -> Vector:
-        """The nearest velocities, shape (n,), with which no ``active`` contact separates."""
+        """The nearest velocities, shape (..., n), with which no ``active`` contact separates."""
+        if u.ndim > 1:
+            return np.asarray(np.apply_along_axis(self.nearest_approaching, -1, u, active))
         contacts = list(active)
         gamma = self.system.W[:, contacts].T @ u
         if np.all(gamma <= 0):

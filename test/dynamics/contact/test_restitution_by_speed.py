@@ -86,7 +86,7 @@ def test_single_contact_rebounds_by_its_own_speed() -> None:
     eps = np.minimum(0.9, 0.7 * np.abs(before) ** -0.25)
     expected = np.where(before < 0, -eps * before, before)
     np.testing.assert_allclose(after @ model.W[:, 0], expected, rtol=1e-13)
-    np.testing.assert_allclose(law.velocities_held(U, (0,), ()), after, rtol=1e-15, atol=1e-15)
+    np.testing.assert_allclose(law.velocity_held(U, (0,), ()), after, rtol=1e-15, atol=1e-15)
 
 
 @pytest.mark.slow
