@@ -25,6 +25,7 @@ from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.system import refuse_squares
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
@@ -165,6 +166,7 @@ def identify(
     """
     system = family.system
     refused(system, "identify")
+    refuse_squares(system, "identify")
     if system.forcing.sampled is not None and OFFSET in family.names:
         raise UsageError(
             f"{system.name}: its forcing is sampled, so {OFFSET} cannot be identified; expected"

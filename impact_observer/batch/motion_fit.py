@@ -35,7 +35,7 @@ from impact_observer.states import Matrix, Vector
 
 ROUNDED = 1e-9 / np.sqrt(12)
 """Standard deviation of a stamp that is wrong by its rounding only, s."""
-LARGEST_CLOCK = 1e-3
+LARGEST_CLOCK = 1.5e-3
 """Largest error of stamps that is found where none is declared, s: larger ones would explain
 errors of the model away."""
 LARGEST_MODEL = 0.3
@@ -94,6 +94,11 @@ class BatchProblem:
     clock: float | None = None
     samples: tuple[FlightSamples, ...] = ()
     least_model: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Take the rounding of stamps to 1 ns for the least error of a clock."""
+        if self.clock is not None:
+            object.__setattr__(self, "clock", max(self.clock, ROUNDED))
 
 
 class MotionFit:

@@ -128,9 +128,11 @@ class SmoothedRun:
         W, c = system.W[:, list(active)].T, len(active)
         gamma = W @ there[n:]
         scatter = float(fit.sizes.scatter[0]) * np.abs(gamma)
-        roots = np.zeros((2 * c + family.size, root.shape[1] + c))
+        least = self.uncertainty.least_deviations(there, fit.tangent.phases.scales.sizes(there))
+        roots = np.zeros((2 * c + family.size, root.shape[1] + c + n))
         roots[:c, : root.shape[1]] = W @ moved[n:]
-        roots[c : 2 * c, root.shape[1] :] = np.diag(scatter)
+        roots[c : 2 * c, root.shape[1] : root.shape[1] + c] = np.diag(scatter)
+        roots[:c, root.shape[1] + c :] = W * least[n:]
         roots[2 * c :, : root.shape[1]] = root[d:]
 
         def values(z: Vector) -> Matrix:

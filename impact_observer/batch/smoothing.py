@@ -24,6 +24,7 @@ from impact_observer.model import Model, System
 from impact_observer.model.free_parameters import OFFSET, parameters_beside, parametric_family
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.system import refuse_squares
 from impact_observer.observer import Options, initial_state, make_observer
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.samples import SensorSample
@@ -111,6 +112,7 @@ def _smoothed(  # noqa: PLR0917
 ) -> SmoothedRun:
     given = model.system if isinstance(model, Model) else model
     epoch = options.epoch or max(each.epoch for each in events)
+    refuse_squares(given, "smooth")
     require_epoch(given, epoch)
     system = replace(connected(given, epoch), live=None)
     chosen = replace(options, law=TracedLaw.name, ensemble=1, epoch=epoch)

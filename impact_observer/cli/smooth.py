@@ -69,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
+        if read.misfit:
+            progress.line(f"warning: {read.misfit}")
         smoothed = smooth_bag(
             reader,
             read,
