@@ -55,7 +55,7 @@ class Explanation:
     @property
     def is_lost(self) -> bool:
         """Whether no motion was found by which single events can be judged."""
-        return not self.fit.is_settled or self.verdict.model > LOST
+        return self.verdict.model > LOST
 
     def is_better_than(self, other: "Explanation") -> bool:
         """Whether the account is likelier than ``other``: by more if it changes more events."""

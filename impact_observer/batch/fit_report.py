@@ -47,7 +47,7 @@ _MARKERS = "o^sDvx+*"
 
 def why_useless(found: Identification) -> str:
     """Why values are not written into a model, whether or not it fits; empty where they are."""
-    if found.found.is_lost:
+    if found.found.is_lost or not found.fit.is_settled:
         return "no motion explains these impacts"
     if found.undetermined:
         return f"not determined: {listed(found.undetermined)}"

@@ -51,6 +51,8 @@ _ROUNDS = 25
 """Most linearisations of a search."""
 LOST = 0.1
 """Error of accelerations from which on a motion says nothing of single events."""
+_LATE = 10
+"""Linearisations after which no kind of noise comes or goes."""
 _LOST_AFTER = 8
 """Linearisations after which a search ends where the motion is still lost."""
 _SETTLED = 0.02
@@ -129,8 +131,12 @@ class MotionFit:
         sample_inflation: Vector,
         *,
         is_first: bool = False,
+        is_late: bool = False,
     ) -> None:
-        """Linearise, and find the sizes near ``sizes``; parameters stay where ``is_first``."""
+        """Linearise, and find the sizes near ``sizes``.
+
+        Parameters stay where ``is_first``; which kinds of noise there are stays where ``is_late``.
+        """
         self.problem, self.theta, self.x, self.inflation = problem, theta, x, inflation
         self.tangent = Tangent(problem.family, theta)
         self.motion = linearised(self.tangent, problem.moments, x)
@@ -143,7 +149,9 @@ class MotionFit:
         self.sample_inflation = sample_inflation
         self.prior = _prior(problem, x[0], theta, is_first=is_first)
         self.steps = _steps(self)
-        self.sizes = found_sizes(self.prior, self.steps, sizes, problem, is_first=is_first)
+        self.sizes = found_sizes(
+            self.prior, self.steps, sizes, problem, is_first=is_first, is_late=is_late
+        )
         self.is_settled, self.rounds = False, 0
 
     @cached_property
@@ -311,7 +319,16 @@ def fitted(
     number = 0
     while True:
         is_first = number < firsts
-        fit = MotionFit(problem, theta, x, sizes, inflation, of_samples, is_first=is_first)
+        fit = MotionFit(
+            problem,
+            theta,
+            x,
+            sizes,
+            inflation,
+            of_samples,
+            is_first=is_first,
+            is_late=number >= _LATE,
+        )
         were, sizes, fit.rounds = sizes, fit.sizes, number + 1
         size = ", ".join(f"{float(each[0]):.1g}" for each in sizes)
         show(f"motion {number + 1} (clock, rebounds, model: {size})")
@@ -379,10 +396,12 @@ def found_sizes(
     problem: BatchProblem,
     *,
     is_first: bool = False,
+    is_late: bool = False,
 ) -> NoiseSizes:
     """The sizes of the noises of the largest density, from sizes nearby.
 
-    At first, where a motion is far off, only those of the clock and the model count.
+    At first, where a motion is far off, only those of the clock and the model count. When it
+    ``is_late`` no noise comes or goes, so that a search settles.
     """
     now = [float(each[0]) for each in sizes]
     clock = (ROUNDED, LARGEST_CLOCK) if problem.clock is None else (problem.clock,) * 2
@@ -391,13 +410,14 @@ def found_sizes(
         for which in (2, 0) if is_first else (2, 0, 1):
             low, high = ranges[which]
             is_absent = which and not now[which]
-            if low == high or (is_absent and number):
+            if low == high or (is_absent and (number or is_late)):
                 continue
             exponents = np.linspace(-1, 1, _TRIED)
             tried = np.unique(np.clip((now[which] or low) * factor**exponents, low, high))
             if is_absent:
                 tried = np.geomspace(low, high, 2 * _TRIED)
             is_optional = which == 1 or (which == 2 and not problem.least_model)
+            is_optional = is_optional and not is_late
             if is_optional:
                 tried = np.append(0.0, tried)
             trial = [np.full(tried.size, each) for each in now]

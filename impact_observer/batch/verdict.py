@@ -14,9 +14,9 @@ UNLIKELY = 1e-6
 """Probability of what is left under the model below which the model is rejected."""
 LARGEST_MODEL_ERROR = 1e-3
 """Largest error of accelerations with which a model fits, over the usual ones."""
-_LARGEST_SCATTER = 0.1
+_LARGEST_SCATTER = 0.06
 """Largest scatter of rebounds with which a model fits: rigs have 0.01 to 0.05."""
-_OF_FLIGHTS = 0.02
+_OF_FLIGHTS = 0.005
 """Part of the median flight above which no error of stamps is one of a clock."""
 _LAGS = 10
 """Most lags of the tested autocorrelations."""
