@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer import Plant, grid, parse_model, simulate
+from impact_observer.batch.identification import identify
 from impact_observer.events import ImpactEvent, Switch
-from impact_observer.identify.identification import identify
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.stamps import NS_PER_S, from_seconds
 

@@ -279,11 +279,10 @@ def test_demo_launch_has_the_defaults_of_the_demo_command(
         main(["demo", "--help"])
     text = " ".join(capsys.readouterr().out.split())
     nodes = {node.name: node for node in launcher.run("demo")}
-    plant, observer = nodes["plant"].parameters, nodes["observer_geometric"].parameters
+    plant = nodes["plant"].parameters
     assert f"a sample ({plant['model']})" in text
     for name in ("duration", "realtime_factor"):
         assert f"(default {plant[name]:g})" in text, name
-    assert f"(default {observer['initial_state']})" in text
 
 
 def test_observer_launch_passes_only_what_is_given(launcher: Launcher) -> None:

@@ -96,7 +96,7 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
     if found.white < UNLIKELY:
         yield f"what is left at successive stamps is correlated (chance {found.white:.1g})"
     lost = int(np.sum(~fit.motion.is_regular[moments.row_moment]))
-    if lost > _UNREACHED * moments.row_moment.size:
+    if lost > 1 + _UNREACHED * moments.row_moment.size:  # the first may be the start
         yield f"the motion does not reach {lost} of {moments.row_moment.size} impacts"
     speeds = fit.motion.speed
     if speeds.size and float(np.median(speeds)) > 0:
