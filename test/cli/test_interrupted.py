@@ -116,9 +116,10 @@ def is_up(command: str, process: int, folder: Path) -> bool:
         return len(descendants(process)) >= 5 and any(folder.rglob("*.mcap"))
     if command == "record":
         return any(folder.rglob("*.mcap"))
-    if command == "watch":
-        return bool((folder / "said").read_text())
     with contextlib.suppress(OSError):
+        if command == "watch":  # no message of ours before the first publisher
+            files = Path(f"/proc/{process}/fd").iterdir()
+            return any("socket:" in str(each.readlink()) for each in files)
         return "impact_observer_msgs__rosidl" in Path(f"/proc/{process}/maps").read_text()
     return False
 
@@ -144,10 +145,13 @@ def test_sigterm_ends_a_command_with_ros_in_order(
             stderr=subprocess.PIPE,
         ) as process,
     ):
-        wait(lambda: is_up(command, process.pid, tmp_path))
-        below = descendants(process.pid)
-        process.send_signal(signal.SIGTERM)
-        _, errors = process.communicate(timeout=90)
+        try:
+            wait(lambda: is_up(command, process.pid, tmp_path))
+            below = descendants(process.pid)
+            process.send_signal(signal.SIGTERM)
+            _, errors = process.communicate(timeout=90)
+        finally:
+            process.kill()
     assert process.returncode == (143 if command == "demo" else 0)
     assert "Traceback" not in errors
     shown = (tmp_path / "said").read_text() + errors

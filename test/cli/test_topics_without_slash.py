@@ -118,6 +118,6 @@ def test_a_topic_is_played_by_both_names(
 ) -> None:
     """Only its messages are sent."""
     assert ros_environment
-    given = ["--rate", "20", "--delay", "0", "--topics", topic]
+    given = ["--rate", "20", "--topics", topic]
     assert main(["play", str(switch_bag), *given]) == 0
     assert f" messages played from {switch_bag}" in capsys.readouterr().out
