@@ -19,7 +19,7 @@ from impact_observer import Options, grid, make_observer, read_model, simulate
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.observer.replay import replay_batches
 from impact_observer.observer.samples import SensorSample
-from impact_observer.plant import SensorModel, make_plant, simulate_sensor
+from impact_observer.plant import Plant, SensorModel, simulate_sensor
 from impact_observer.robots import Robot
 from impact_observer.stamps import NS_PER_S, from_seconds
 from impact_observer.states import Estimates, Matrix, Vector
@@ -73,7 +73,7 @@ def swing(seconds: float, seed: int = 1) -> Velocities:
     true = {k: v * wrong.get(k.partition(".")[0], 1.0) for k, v in model.robot.parameters.items()}
     true["restitution.wall"] += 0.05
     robot = Robot(model.robot.with_parameters(true))
-    plant = make_plant(robot, *model.initial_state(), epoch=epoch)
+    plant = Plant(robot, *model.initial_state(), epoch=epoch)
     run = simulate(plant, grid(epoch, epoch + from_seconds(seconds), FAST * RATE))
     last, rng = int(run.stamps[-1]), np.random.default_rng(seed)
     sensor = SensorModel(jitter=JITTER)

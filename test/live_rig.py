@@ -14,7 +14,7 @@ from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.writer import BagWriter
 from impact_observer.model import parse_model
 from impact_observer.model.live_signals import LiveSignals, connected
-from impact_observer.plant import Plant, make_plant
+from impact_observer.plant import Plant
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ def simulated(pauses: int = 7) -> tuple[list[ImpactEvent], NDArray[np.int64], Ar
     given = samples()
     system, live = connected(parse_model(RIG, "rig").system, causal=True)
     give(live, given[0])
-    plant = make_plant(system, *START, epoch=EPOCH, live=live)
+    plant = Plant(system, *START, epoch=EPOCH, live=live)
     assert isinstance(plant, Plant)
     events: list[ImpactEvent] = []
     stamps: list[int] = []

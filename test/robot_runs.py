@@ -17,8 +17,7 @@ from impact_observer.model.urdf_file import Urdf
 from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
-from impact_observer.plant import simulate
-from impact_observer.plant.master import make_plant
+from impact_observer.plant import Plant, simulate
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, from_seconds, grid
 
@@ -72,7 +71,7 @@ class Truth(NamedTuple):
     ) -> "Truth":
         """The motion of a ``robot`` from ``start``, its positions and velocities."""
         stamps = grid(EPOCH, EPOCH + from_seconds(seconds), rate)
-        run = simulate(make_plant(robot, *start, epoch=EPOCH), stamps)
+        run = simulate(Plant(robot, *start, epoch=EPOCH), stamps)
         return cls(stamps, run.states, run.events, efforts_of(robot, stamps))
 
     @property

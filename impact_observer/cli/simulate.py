@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from impact_observer.events import ImpactEvent
-    from impact_observer.model import System
+    from impact_observer.model.multibody import Multibody
     from impact_observer.plant import Run
-    from impact_observer.robots.robot import Robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,14 +64,14 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.writer import check_free
     from impact_observer.model import read_model
     from impact_observer.model.measurements_file import read_measurements
-    from impact_observer.robots.robot import simulated
+    from impact_observer.model.multibody import multibody_of
     from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 
     check_free(args.output)
     given = {each.name: getattr(args, each.name) for each in SENSOR_FAULTS}
     sensor = plant.SensorModel(**{k: value for k, value in given.items() if value is not None})
     model, epoch, duration = read_model(args.model), NS_PER_S, args.duration
-    system = simulated(model)
+    system = multibody_of(model)
     sensor.check(system, model.sensors)
     true = plant.RandomPlant(system, {})
     if args.random_parameters is not None:
@@ -90,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         def show(what: str, stamp: int) -> None:
             progress.step(what, seconds_between(epoch, stamp), duration)
 
-        master = plant.make_plant(true.system, *model.initial_state(), epoch=epoch)
+        master = plant.Plant(true.system, *model.initial_state(), epoch=epoch)
         wanted = np.union1d(stamps, sampled)
         done = plant.simulate(master, wanted, progress=partial(show, "simulating"))
         samples = simulated_samples(simulation, done.sampled_at(sampled)) if sensors else []
@@ -123,23 +122,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _remarks(run: "Run", system: "System | Robot", seconds: float) -> "Iterator[str]":
+def _remarks(run: "Run", system: "Multibody", seconds: float) -> "Iterator[str]":
     """Remarks on a run of a system over ``seconds``."""
-    from impact_observer.model import System
-    from impact_observer.model.system import unit_of
-    from impact_observer.robots.robot import Robot, held_joints
-
     if line := system.held_force(seconds):
         yield f"warning: {line}"
-    if line := held_joints(system):
+    for line in system.remarks(run.states):
         yield f"note: {line}"
-    if isinstance(system, Robot):
-        for name in system.passed_limits(run.states):
-            yield f"note: {name} passes its limits in the URDF, which are no contacts"
     if not run.switchings and system.m:
         gap, contact = run.nearest(system)
-        unit = unit_of("m", system.unit) if isinstance(system, System) else "m"
-        yield f"note: no contact closed: smallest gap {gap:.3g} {unit}, at {contact}"
+        yield f"note: no contact closed: smallest gap {gap:.3g} {system.gap_unit}, at {contact}"
 
 
 def _counts(events: "Sequence[ImpactEvent]") -> str:

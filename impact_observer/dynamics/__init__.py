@@ -8,13 +8,11 @@ and ``roots`` finds when.
 
 from impact_observer.dynamics.contact.clutch import Clutches, Piecewise
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
-from impact_observer.dynamics.contact.persistent_contact import (
-    Grip,
-    ended,
-    persistent_contacts,
-)
+from impact_observer.dynamics.contact.persistent_contact import ended, persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow import Flow, Motion, PhaseMotion
+from impact_observer.dynamics.linear_mechanism import LinearMechanism
+from impact_observer.dynamics.mechanism import Grip, Mechanism, mechanism_of
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.roots import Guards, RootSearch
 from impact_observer.dynamics.scales import Scales
@@ -29,6 +27,8 @@ __all__ = [
     "Grip",
     "Guards",
     "ImpactLaw",
+    "LinearMechanism",
+    "Mechanism",
     "Motion",
     "Phase",
     "PhaseMotion",
@@ -40,5 +40,6 @@ __all__ = [
     "Watch",
     "Watched",
     "ended",
+    "mechanism_of",
     "persistent_contacts",
 ]

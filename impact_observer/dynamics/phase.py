@@ -160,20 +160,7 @@ class Phases:
         self, contacts: tuple[int, ...], fixed: tuple[int, ...] = ()
     ) -> tuple[int, ...]:
         """The ``contacts`` whose directions are independent of ``fixed`` and of earlier ones."""
-        if len(contacts) < 2 and not fixed:
-            return contacts
-        chosen: list[int] = []
-        basis = np.empty((self.system.n, 0))
-        for k, i in enumerate((*fixed, *contacts)):
-            if basis.shape[1] == self.system.n:
-                break
-            left = without(basis, self.B[:, i])
-            length = np.linalg.norm(left)
-            if length > RANK * self.length[i]:
-                basis = np.column_stack([basis, left / length])
-                if k >= len(fixed):
-                    chosen.append(i)
-        return tuple(chosen)
+        return independent(self.B, self.length, contacts, fixed)
 
     def white(self, loads: Matrix) -> Matrix:
         """``L^-1 loads``, ``M = L L^T``: accelerations in coordinates with unit mass matrix."""
@@ -298,6 +285,29 @@ class Phases:
         size = np.sqrt(mass)
         nothing = _CANCELLED * self.system.n * whole * np.outer(size, size)
         return np.where(np.abs(restricted) <= nothing, 0.0, restricted)
+
+
+def independent(
+    B: Matrix, length: Vector, contacts: tuple[int, ...], fixed: tuple[int, ...] = ()
+) -> tuple[int, ...]:
+    """The ``contacts`` whose directions are independent of ``fixed`` and of earlier ones.
+
+    Directions are columns of ``B``, shape (n, m), with lengths of shape (m,).
+    """
+    if len(contacts) < 2 and not fixed:
+        return contacts
+    chosen: list[int] = []
+    basis = np.empty((len(B), 0))
+    for k, i in enumerate((*fixed, *contacts)):
+        if basis.shape[1] == len(B):
+            break
+        left = without(basis, B[:, i])
+        size = np.linalg.norm(left)
+        if size > RANK * length[i]:
+            basis = np.column_stack([basis, left / size])
+            if k >= len(fixed):
+                chosen.append(i)
+    return tuple(chosen)
 
 
 def _symmetric(matrix: Matrix) -> Matrix:

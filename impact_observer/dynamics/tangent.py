@@ -19,18 +19,17 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.exponential import Exponential
+from impact_observer.dynamics.mechanism import Array, Flown
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.events import Contacts
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
-Array = NDArray[np.float64]
 _AT_ONCE = 1 << 22
 """Numbers of the exponentials that are made at once."""
 
@@ -60,20 +59,6 @@ class Maps(NamedTuple):
         """Derivatives of the images of ``x`` by the parameters, shape (..., 2n, p)."""
         moved = (self.phi_slopes @ x[..., None, :, None])[..., 0] + self.drift_slopes
         return np.asarray(np.swapaxes(moved, -1, -2))
-
-
-class Jumps(NamedTuple):
-    """States after a jump, and their derivatives.
-
-    Attributes:
-        x: states after the jump, shape (..., 2n).
-        Phi: derivatives by the states before, shape (..., 2n, 2n).
-        Gamma: derivatives by the parameters, shape (..., 2n, p).
-    """
-
-    x: Array
-    Phi: Array
-    Gamma: Array
 
 
 class GuardRows(NamedTuple):
@@ -235,7 +220,7 @@ class Tangent:
         slopes = np.zeros((len(own), self.p, 2 * self.n)), self.family.gap_changes[:, own].T
         return GuardRows(np.hstack([W, np.zeros_like(W)]), self._numbers.gap[own], *slopes)
 
-    def impact(self, x: Array, pressed: Contacts) -> Jumps:
+    def impact(self, x: Array, pressed: Contacts) -> Flown:
         """Newton's law on exactly the contacts ``pressed``, from states (..., 2n)."""
         n = self.n
         W = self.system.W[:, list(pressed)].T
@@ -261,9 +246,9 @@ class Tangent:
                 if np.any(own):
                     by = _each(law.sensitivity, gamma[..., k])
                     Gamma[..., n:, j] -= (by @ own)[..., None] * X[:, k]
-        return Jumps(after, Phi, Gamma)
+        return Flown(after, Phi, Gamma)
 
-    def rest(self, x: Array, held: Contacts) -> Jumps:
+    def rest(self, x: Array, held: Contacts) -> Flown:
         """States (..., 2n) with the speeds of ``held`` contacts zero, as masses would have it."""
         n, inverse = self.n, self.phase(held).inverse
         keep = inverse @ self.system.M
@@ -276,7 +261,7 @@ class Tangent:
         for j, effect in enumerate(self._effects):
             if np.any(effect.M):
                 Gamma[..., n:, j] = (x - after)[..., n:] @ (inverse @ effect.M).T
-        return Jumps(after, Phi, Gamma)
+        return Flown(after, Phi, Gamma)
 
     def stops(self, pressed: Contacts) -> Matrix:
         """``X`` of ``u+ = u- - X gamma-``, which stops the contacts ``pressed``, shape (n, k)."""

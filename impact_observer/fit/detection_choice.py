@@ -11,7 +11,7 @@ from impact_observer.detector import Source
 from impact_observer.detector.peak import RINGING
 from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
 from impact_observer.model import System
-from impact_observer.plant import make_plant
+from impact_observer.plant import Plant
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Stamps, Vector
 
@@ -85,7 +85,7 @@ def impacts_from_rest(system: System, seconds: float) -> SimulatedImpacts | None
     rest = np.zeros(system.n)
     impacts = list[tuple[int, tuple[str, ...]]]()
     try:
-        plant = make_plant(system, rest, rest, epoch=NS_PER_S)
+        plant = Plant(system, rest, rest, epoch=NS_PER_S)
         end = NS_PER_S + from_seconds(seconds)
         while len(impacts) < _MOST and (switching := plant.next_switching(end)) is not None:
             plant.cross(switching)

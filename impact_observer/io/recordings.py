@@ -18,13 +18,13 @@ from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.simulated_samples import SimulatedMessage
 from impact_observer.io.writer import BagWriter, check_free
-from impact_observer.model import Model, System, parse_model
+from impact_observer.model import Model, parse_model
 from impact_observer.model.model_file import ModelText, model_text
+from impact_observer.model.multibody import Multibody
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.sender_runs import in_order
 from impact_observer.output_files import temporary_beside
 from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
-from impact_observer.robots.robot import Robot
 
 PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
 """Topics that ``write_run`` writes, and ``observe_bag`` copies."""
@@ -104,7 +104,7 @@ def write_run(
     samples: Sequence[SimulatedMessage] = (),
     types: Mapping[str, str] = MappingProxyType({}),
     true_parameters: Mapping[str, float] = MappingProxyType({}),
-    system: System | Robot | None = None,
+    system: Multibody | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[ImpactEvent]:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.

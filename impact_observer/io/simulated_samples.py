@@ -3,7 +3,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from rosbags.interfaces import Nodetype
@@ -17,6 +17,7 @@ from impact_observer.io.typestores import typestore
 from impact_observer.message_fields import FieldPath
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
+from impact_observer.model.multibody import Multibody
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Run
 from impact_observer.robots.robot import Robot
@@ -149,7 +150,7 @@ class SampleSimulation:
     def __init__(
         self,
         measurements: Sequence[Measurement],
-        system: System | Robot,
+        system: Multibody,
         sampling: Sampling,
         seed: int,
         new: Callable[[str], AnyMessage] | None = None,
@@ -163,7 +164,7 @@ class SampleSimulation:
         self._measured: LinearSensors | RobotSensors = (
             RobotSensors(measurements, system)
             if isinstance(system, Robot)
-            else LinearSensors(measurements, system)
+            else LinearSensors(measurements, cast(System, system))
         )
         self._declared = tuple(measurements)
         self._new = new or blank

@@ -195,9 +195,29 @@ class System:
         """``f(t)`` without the effects of grounds."""
         return self.forcing if self.frame is None else self.frame.forcing
 
+    @property
+    def gap_unit(self) -> str:
+        """Unit of the gaps: that of the coordinates, where they are lengths or angles."""
+        return unit_of("m", self.unit)
+
+    @property
+    def plant_inputs(self) -> LiveNames | None:
+        """Signals known only live, for which a plant waits; None without any."""
+        return self.live
+
+    @property
+    def turns(self) -> NDArray[np.bool_]:
+        """Which coordinates are known modulo a turn, shape (n,): none."""
+        return np.zeros(self.n, dtype=np.bool_)
+
     def held_force(self, t: float) -> str:
         """A warning if ``t``, s since the epoch, is after the last sample; otherwise empty."""
         return self.own_forcing.held(t)
+
+    def remarks(self, states: Matrix) -> list[str]:
+        """What a user should know of a run through these states: nothing."""
+        del states
+        return []
 
     @property
     def m(self) -> int:

@@ -2,9 +2,7 @@
 """The plant: the impacting system itself, integrated from event to event."""
 
 from impact_observer.plant.event_driven import Plant
-from impact_observer.plant.master import Master, make_plant
 from impact_observer.plant.random_parameters import RandomPlant, random_plant
-from impact_observer.plant.robot_plant import RobotPlant
 from impact_observer.plant.sensor import (
     IDEAL,
     SensorMessage,
@@ -17,16 +15,13 @@ from impact_observer.plant.switching import Switching
 
 __all__ = [
     "IDEAL",
-    "Master",
     "Plant",
     "RandomPlant",
-    "RobotPlant",
     "Run",
     "SensorMessage",
     "SensorModel",
     "SensorSimulation",
     "Switching",
-    "make_plant",
     "random_plant",
     "simulate",
     "simulate_sensor",

@@ -1,33 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The event-driven plant: exact flow from one change of its contacts to the next."""
+"""The event-driven plant: one phase of motion after the other.
+
+A phase has closed contacts, a motion, and guards: the gaps of the open contacts and the loads of
+the closed ones. It ends where the first guard falls below zero:
+
+- a gap: an impact of all contacts that are closed then, by Newton's law. It is plastic where
+  impacts accumulate. Contacts that come back at once rest (``zeno.py``);
+- a load: contacts open.
+
+Then accelerations decide which contacts stay closed, and the next phase begins. A phase without
+length is allowed, an endless row of them is an error.
+"""
 
 from functools import lru_cache, partial
+from typing import NamedTuple, cast
 
 import numpy as np
 
-from impact_observer.dynamics import (
-    KEPT,
-    End,
+from impact_observer.dynamics.mechanism import (
     Grip,
-    ImpactLaw,
-    Phase,
-    PhaseMotion,
-    Phases,
-    RootSearch,
-    Watch,
-    Watched,
-    ended,
-    persistent_contacts,
+    GuardedMotion,
+    PhaseEnd,
+    mechanism_of,
 )
 from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
+from impact_observer.events import Contacts
+from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.model.multibody import Multibody, multibody_of
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.plant.zeno import (
     COLLAPSED,
     NEGLIGIBLE,
+    SHORT,
     AccumulationDetector,
-    ZenoCutoff,
+    is_pressed,
+    resting,
 )
 from impact_observer.stamps import MAX_STAMP, Elapsed, Instant, text, whole_stamp
 from impact_observer.states import Stamps, Vector
@@ -38,95 +47,76 @@ _MOST = 1_000
 """Contact changes at one instant that count as endless."""
 
 
+class PlantPhase(NamedTuple):
+    """A phase of the plant.
+
+    Attributes:
+        start: when it begins.
+        x: state at its start in the frame in which no stop moves, shape (2n,).
+        grip: the closed contacts.
+        motion: the motion with its guards.
+    """
+
+    start: Instant
+    x: Vector
+    grip: Grip
+    motion: GuardedMotion
+
+
 class Plant:
     """The master system with ordinary unilateral contacts, one phase at a time.
 
     Attributes:
         system: the simulated system.
+        mechanism: how it moves.
         epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
-        closed: indices of the contacts that are closed in the present phase.
     """
-
-    _watch: Watch
-    _motion: PhaseMotion
-    _search: RootSearch
-    _next: Switching | None
 
     def __init__(
         self,
-        system: ModelSource,
+        system: Multibody | ModelSource,
         position: Vector | None = None,
         velocity: Vector | None = None,
         *,
         epoch: int,
         live: LiveSignals | None = None,
-        phases: Phases | None = None,
     ) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
 
         ``system`` may be a model, or the path of a model file; its initial state is taken where
         neither is given. ``live`` are the signals of the system, known at the epoch, where it has
-        live ones; ``phases`` those of another plant of the same system, prepared already.
+        live ones.
 
         Raises:
             ModelError: the model file is wrong, or has no initial state that could be taken.
             UsageError: no model, or a state of the wrong size, not finite, or inside a stop.
             ImpactLawError: contacts are closed at the start and their impact has no solution.
         """
-        model = model_of(system, "Plant")
-        system = model.system
+        given, system = system, _system_of(system)
         if position is None or velocity is None:
             if position is not velocity:
                 raise UsageError("Plant: position or velocity is missing; expected both, or none")
-            position, velocity = model.initial_state()
-        epoch = whole_stamp(epoch, "epoch")
-        if live is None:
-            refused(system, "a plant without signals")
-        else:
-            live.follow(epoch)
+            position, velocity = model_of(given, "Plant").initial_state()  # type: ignore[arg-type]
+        self.epoch = whole_stamp(epoch, "epoch")
         self._live = live
-        q, u = system.checked_start(position, velocity)
-        self.system = system
-        self.epoch = epoch
-        self._law = ImpactLaw(system)
-        self._phases = Phases(system) if phases is None else phases
-        self._zeno = ZenoCutoff(self._phases)
-        self._accumulation = AccumulationDetector(self._zeno.shortest)
+        if live is not None:
+            live.follow(self.epoch)
+        elif system.plant_inputs is not None:
+            refused(cast(System, system), "a plant without signals")
+        x = np.concatenate(system.checked_start(position, velocity))
+        self.system, self.mechanism = system, mechanism_of(system)
+        self._shortest = SHORT * self.mechanism.timescale
+        self._accumulation = AccumulationDetector(self._shortest)
         self._instant_changes = 0
-        self._watch_of = lru_cache(KEPT)(self._watched)
-        self._switches = lru_cache(KEPT)(partial(switches, system))
-        self.restart(epoch, np.concatenate([q, u]))
+        self._switches = lru_cache(partial(switches, system.contact_names))
+        self._next: Switching | None = None
+        self._phase = self._begun(Instant(self.epoch), x, Grip((), ()))
+        self._touch(x)
 
-    def restart(self, stamp: int, x: Vector) -> None:
-        """Go on from the state ``x`` (q, u) in the system's frame at ``stamp``, ns; all is open.
-
-        Raises:
-            ImpactLawError: contacts are closed there and their impact has no solution.
-        """
-        system, start, (q, u) = self.system, Instant(stamp), np.split(x, 2)
-        self._begin(start, x, Grip((), ()))
-        if touching := system.closed_at(q):
-            switching = self._impact(start, x, touching)
-            closing = np.any(system.contact_speed(u)[list(touching)] < 0)
-            if closing or switching.closed:
-                self._next = switching
-            else:  # the contacts separate; only rounding in the gaps is removed
-                self._begin(start, switching.after, Grip((), ()))
-
-    def next_switching(self, limit: int) -> Switching | None:
-        """The next switching of the contacts, if its stamp is not after ``limit`` (ns).
-
-        A second call before ``cross`` costs nothing.
-
-        Raises:
-            ImpactLawError: the impact law has no solution.
-            DynamicsError: changes of contacts at one instant never end.
-        """
-        limit = min(limit, self.known_until)
-        if self._next is None:
-            self._next = self._end(limit)
-        coming = self._next
-        return coming if coming is not None and coming.instant.stamp <= limit else None
+    @property
+    def closed(self) -> Contacts:
+        """Indices of the contacts that are closed in the present phase."""
+        return self._phase.grip.closed
 
     @property
     def known_until(self) -> int:
@@ -137,128 +127,135 @@ class Plant:
         if self._live is None:
             return MAX_STAMP
         self._live.follow(self.epoch)
-        self._live.forget_before(self._start.stamp)
+        self._live.forget_before(self._phase.start.stamp)
         return self._live.known_until - 1
+
+    def next_switching(self, limit: int) -> Switching | None:
+        """The next switching of the contacts, if its stamp is not after ``limit`` (ns).
+
+        A second call before ``cross`` costs nothing.
+
+        Raises:
+            ImpactLawError: the impact law has no solution.
+            DynamicsError: the motion cannot be computed, or changes of contacts never end.
+        """
+        limit = min(limit, self.known_until)
+        if self._next is None:
+            start = self._phase.start
+            end = self._phase.motion.end(start.until(limit) + 0.5e-9)
+            if end is None or (instant := start.shifted_by(end.s)).stamp > limit:
+                return None
+            self._next = self._ended(instant, end)
+        return self._next if self._next.instant.stamp <= limit else None
 
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
-        self._begin(switching.instant, switching.after, Grip(switching.closed, switching.held))
+        grip = Grip(switching.closed, switching.held)
+        self._phase, self._next = self._begun(switching.instant, switching.after, grip), None
 
     def states(self, stamps: Stamps) -> Vector:
         """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
 
         A stamp equal to the last switching's is after it, however its instant was rounded.
         """
-        s = (stamps - self._start.stamp) * 1e-9 - self._start.remainder
-        states = self._motion.states(np.maximum(s, 0.0))
+        start = self._phase.start
+        s = (stamps - start.stamp) * 1e-9 - start.remainder
+        states = self._phase.motion.states(np.maximum(s, 0.0))
         if (started := s <= 0).any():
-            states[started] = self._state
+            states[started] = self._phase.x
         return self.system.from_frame(stamps - self.epoch, states)
 
-    def _begin(self, instant: Instant, x: Vector, grip: Grip) -> None:
-        self._start = instant
-        self.closed = grip.closed
-        opened = tuple(i for i in range(self.system.m) if i not in grip.closed)
-        self._phase = self._phases.phase(grip.held)
-        self._watch = self._watch_of(self._phase, opened)
-        self._state = x
-        self._motion = self._phase.start(self._time(instant), x)
-        self._search = RootSearch(self._watch.guards, self._motion)
-        self._next = None
+    def _begun(self, start: Instant, x: Vector, grip: Grip) -> PlantPhase:
+        return PlantPhase(start, x, grip, self.mechanism.motion(self._time(start), x, grip))
 
     def _time(self, instant: Instant) -> Elapsed:
         return Elapsed(instant.stamp - self.epoch, instant.remainder)
 
-    def _watched(self, phase: Phase, opened: tuple[int, ...]) -> Watch:
-        """The guard functions of a phase: gaps of the contacts ``opened``, and loads."""
-        return Watched.gaps(self.system, opened).and_also(Watched.loads(phase)).along(phase)
+    def _touch(self, x: Vector) -> None:
+        """At the start, contacts that touch hit, or are about to open."""
+        system, start = self.system, self._phase.start
+        touching = system.closed_at(x[: system.n])
+        if not touching:
+            return
+        switching = self._impact(start, x, touching)
+        if np.any(system.contact_speeds(x)[list(touching)] < 0) or switching.closed:
+            self._next = switching
+        else:  # the contacts separate; only rounding in the gaps is removed
+            self._phase = self._begun(start, switching.after, Grip((), ()))
 
-    def _end(self, limit: int) -> Switching | None:
-        """The end of the phase, if its stamp is not after ``limit`` (ns)."""
-        crossing = self._search.first(self._start.until(limit) + 0.5e-9)
-        if crossing is None or (instant := self._start.shifted_by(crossing[0])).stamp > limit:
-            return None
-        s, which = crossing
-        x, crossed = self._motion.state(s), self._watch.crossed(which)
-        self._check_progress(s, instant)
-        if hit := self._hit(x, crossed):
-            return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
-        switching, phase = self._switched(instant, x, x, (), self.closed), self._phase
-        if switching.held != phase.held:
-            return switching
-        # The load falls too slowly to see its sign, but it may not be negative.
-        grip = ended(self._phases, phase, self.closed, crossed[End.LOAD])
-        return self._gripped(instant, x, switching.after, (), grip)
+    def _ended(self, instant: Instant, end: PhaseEnd) -> Switching:
+        """The switching at the end of the phase."""
+        self._check_progress(end.s, instant)
+        x, closed = self._phase.motion.state(end.s), self.closed
+        if hit := self._hit(x, end):
+            return self._impact(instant, x, tuple(sorted({*closed, *hit})))
+        after = self.mechanism.stopped(x, closed)
+        ending = self._phase.grip, end.loads
+        grip = self.mechanism.grip(self._time(instant), after, closed, ending=ending)
+        return self._switched(instant, x, after, (), grip)
 
-    def _hit(self, x: Vector, crossed: dict[End, set[int]]) -> set[int]:
+    def _hit(self, x: Vector, end: PhaseEnd) -> frozenset[int]:
         """The contacts that impact at ``x``.
 
         A gap that is zero and opens is no impact, where a load ends a phase at its start.
         """
-        hit, n = crossed[End.GAP], self.system.n
-        if not (hit and crossed[End.LOAD]):
-            return hit
-        opens = self.system.contact_speed(x[n:]) > self._phases.speed_tolerance(x[n:])
-        return {i for i in hit if not opens[i]}
+        if not (end.gaps and end.loads):
+            return end.gaps
+        still = self.mechanism.pressing(self._time(self._phase.start), x).still(self._kinetic(x))
+        opens = self.system.contact_speeds(x) > still
+        return frozenset(i for i in end.gaps if not opens[i])
 
     def _check_progress(self, s: float, instant: Instant) -> None:
         """Raise where contacts change again and again at one instant."""
-        self._instant_changes = (
-            self._instant_changes + 1 if s <= _INSTANT * self._zeno.shortest else 0
-        )
+        self._instant_changes = self._instant_changes + 1 if s <= _INSTANT * self._shortest else 0
         if self._instant_changes > _MOST:
             raise DynamicsError(
                 f"contacts {', '.join(self.system.contact_names)}: {_MOST} changes at stamp"
                 f" {text(instant.stamp)} s and no end"
             )
 
-    def _impact(self, instant: Instant, x: Vector, contacts: tuple[int, ...]) -> Switching:
+    def _impact(self, instant: Instant, x: Vector, contacts: Contacts) -> Switching:
         """The impact of ``contacts``; plastic where their impacts accumulate."""
-        n, u = self.system.n, x[self.system.n :]
+        mechanism, t, energy = self.mechanism, self._time(instant), self._kinetic(x)
         try:
-            velocity = self._law.velocity_after(u, contacts)
-            energy, found, share = self._energy(u), self._accumulation, NEGLIGIBLE
-            found.record(instant, contacts, energy)
-            accumulating = found.accumulating(instant)
-            if not accumulating and found.collapses(contacts):
-                is_pressed = self._zeno.is_pressed(self._time(instant), x, contacts)
-                accumulating, share = () if is_pressed else contacts, COLLAPSED
-            if accumulating:
-                near = {*contacts, *(i for i in self.system.closed_at(x[:n]) if i in accumulating)}
-                plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))
-                if found.negligible(energy - self._energy(plastic), share):
-                    velocity, contacts = plastic, tuple(sorted(near))
+            after = mechanism.struck(x, contacts)
+            self._accumulation.record(instant, contacts, energy)
+            near, share = self._collapsing(instant, x, contacts)
+            if near:
+                plastic = mechanism.struck(x, near, plastic=True)
+                if self._accumulation.negligible(energy - self._kinetic(plastic), share):
+                    after, contacts = plastic, near
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
-        after = np.concatenate([self._phases.projection.position_after(x[:n], contacts), velocity])
-        resting = self._zeno.resting(self._time(instant), after, contacts, x[n:])
-        return self._switched(instant, x, after, contacts, resting)
+        here, gamma = mechanism.pressing(t, after), self.system.contact_speeds(after)
+        rest = resting(here, gamma, here.still(energy), contacts, self._shortest)
+        if not rest:
+            return self._switched(instant, x, after, contacts, Grip((), ()))
+        after = mechanism.stopped(after, rest)
+        return self._switched(instant, x, after, contacts, mechanism.grip(t, after, rest))
 
-    def _energy(self, u: Vector) -> float:
-        return float(u.dot(self._phases.inertia(u))) / 2
+    def _collapsing(
+        self, instant: Instant, x: Vector, contacts: Contacts
+    ) -> tuple[Contacts, float]:
+        """Contacts that a plastic impact might bring to rest; share of energy that it may take."""
+        accumulation, share = self._accumulation, NEGLIGIBLE
+        accumulating = accumulation.accumulating(instant)
+        if not accumulating and accumulation.collapses(contacts):
+            here = self.mechanism.pressing(self._time(instant), x)
+            if not is_pressed(here, here.still(self._kinetic(x)), contacts, self._shortest):
+                accumulating, share = contacts, COLLAPSED
+        if not accumulating:
+            return (), share
+        touching = self.system.closed_at(x[: self.system.n])
+        near = {*contacts, *(i for i in touching if i in accumulating)}
+        return tuple(sorted(near)), share
+
+    def _kinetic(self, x: Vector) -> float:
+        return float(self.mechanism.kinetic(x))
 
     def _switched(
-        self,
-        instant: Instant,
-        before: Vector,
-        after: Vector,
-        contacts: tuple[int, ...],
-        resting: tuple[int, ...],
-    ) -> Switching:
-        """The switching in which ``resting`` contacts, with ``gamma = 0``, stay closed or open."""
-        if resting:
-            after = self._phases.stopped(after, resting)
-        grip = persistent_contacts(self._phases, (), self._time(instant), after, resting)
-        return self._gripped(instant, before, after, contacts, grip)
-
-    def _gripped(
-        self,
-        instant: Instant,
-        before: Vector,
-        after: Vector,
-        contacts: tuple[int, ...],
-        grip: Grip,
+        self, instant: Instant, before: Vector, after: Vector, contacts: Contacts, grip: Grip
     ) -> Switching:
         return Switching(
             instant=instant,
@@ -269,3 +266,9 @@ class Plant:
             after=after,
             switches=self._switches(self.closed, contacts, grip.closed),
         )
+
+
+def _system_of(source: Multibody | ModelSource) -> Multibody:
+    """The system that a plant is given, or that of a model."""
+    given = getattr(source, "checked_start", None)
+    return source if given is not None else multibody_of(model_of(source, "Plant"))  # type: ignore[arg-type,return-value]

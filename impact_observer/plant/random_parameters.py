@@ -2,15 +2,16 @@
 """A plant whose parameters differ from those of its model by random errors."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.model import Model, System
+from impact_observer.model import Model
 from impact_observer.model.free_parameters import parametric_family
+from impact_observer.model.multibody import Multibody, multibody_of
 from impact_observer.model.parameter_uncertainty import root_in_own_units
-from impact_observer.robots.robot import Robot
 from impact_observer.states import Vector
 
 _MOST_DRAWS = 1000
@@ -25,7 +26,7 @@ class RandomPlant(NamedTuple):
         values: of the parameters by name, SI units.
     """
 
-    system: System | Robot
+    system: Multibody
     values: dict[str, float]
 
 
@@ -60,22 +61,23 @@ def random_plant(model: Model, seed: int) -> RandomPlant:
     )
 
 
-def _family(
-    model: Model, names: tuple[str, ...]
-) -> tuple[Vector, Callable[[Vector], System | Robot]]:
+def _family(model: Model, names: tuple[str, ...]) -> tuple[Vector, Callable[[Vector], Multibody]]:
     """Declared values of parameters, shape (p,), and a function of values that makes a plant.
 
     The function raises UsageError for impossible values.
     """
     if (robot := model.robot) is not None:
         values = np.array([robot.parameters[name] for name in names])
-        return values, lambda drawn: Robot(
-            robot.with_parameters(dict(zip(names, drawn.tolist(), strict=True)))
-        )
+
+        def described(drawn: Vector) -> Multibody:
+            own = robot.with_parameters(dict(zip(names, drawn.tolist(), strict=True)))
+            return multibody_of(replace(model, robot=own))
+
+        return values, described
     family = parametric_family(model.system, names, model.elements)
     low, high = family.bounds
 
-    def linear(drawn: Vector) -> System:
+    def linear(drawn: Vector) -> Multibody:
         if np.any((drawn < low) | (drawn > high)):
             raise UsageError("a parameter is out of its bounds")
         return family.system_at(drawn)

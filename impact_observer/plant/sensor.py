@@ -16,10 +16,9 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.model import System
 from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensor, ContactSensors
+from impact_observer.model.multibody import Multibody
 from impact_observer.plant.switching import Switching
-from impact_observer.robots.robot import Robot
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between
 
@@ -71,7 +70,7 @@ class SensorModel:
         values = ((field.name, getattr(self, field.name)) for field in fields(self))
         return {name: value if value is True else float(value) for name, value in values if value}
 
-    def check(self, system: System | Robot, sensors: ContactSensors = NO_SENSORS) -> None:
+    def check(self, system: Multibody, sensors: ContactSensors = NO_SENSORS) -> None:
         """Raise unless this can be the sensor of ``system``, with own ``sensors`` of contacts.
 
         Raises:
@@ -145,7 +144,7 @@ class SensorSimulation:
     def __init__(
         self,
         sensor: SensorModel,
-        system: System | Robot,
+        system: Multibody,
         *,
         sensors: ContactSensors = NO_SENSORS,
         epoch: int,
@@ -341,7 +340,7 @@ def _drawn_timing(draws: Sequence[np.random.Generator]) -> tuple[float, float]:
 
 def simulate_sensor(
     sensor: SensorModel,
-    system: System | Robot,
+    system: Multibody,
     switchings: Iterable[Switching],
     *,
     sensors: ContactSensors = NO_SENSORS,

@@ -8,11 +8,10 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.model import System
 from impact_observer.model.model_source import ModelSource, model_of
-from impact_observer.plant.master import Master, make_plant
+from impact_observer.model.multibody import Multibody
+from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.switching import Switching
-from impact_observer.robots.robot import Robot, simulated
 from impact_observer.stamps import whole_stamps
 from impact_observer.states import Stamps, Vector
 
@@ -47,7 +46,7 @@ class Run:
         which = np.searchsorted(self.stamps, stamps)
         return replace(self, stamps=stamps, states=self.states[which])
 
-    def nearest(self, system: System | Robot) -> tuple[float, str]:
+    def nearest(self, system: Multibody) -> tuple[float, str]:
         """The smallest gap of the states, m, and the name of the contact; needs a contact."""
         least = np.min(system.gaps_at(self.stamps - self.epoch, self.states), axis=0)
         contact = int(np.argmin(least))
@@ -60,7 +59,7 @@ class Run:
 
 
 def simulate(
-    plant: Master | ModelSource,
+    plant: Plant | ModelSource,
     stamps: Stamps,
     *,
     progress: Callable[[int], None] = lambda _: None,
@@ -79,10 +78,10 @@ def simulate(
     stamps = whole_stamps(stamps)
     if np.any(stamps[1:] < stamps[:-1]):
         raise UsageError("stamps: they fall; expected an ascending array, such as one of grid")
-    if not isinstance(plant, Master):
+    if not isinstance(plant, Plant):
         model = model_of(plant, "simulate")
         epoch = int(stamps[0]) if stamps.size else 1
-        plant = make_plant(simulated(model), *model.initial_state(), epoch=epoch)
+        plant = Plant(model, epoch=epoch)
     states = np.empty((stamps.size, 2 * plant.system.n))
     switchings: list[Switching] = []
     events: list[ImpactEvent] = []

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Changes of the contacts of a plant at one instant."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from impact_observer.events import Kind, Switch
-from impact_observer.model import System
-from impact_observer.robots.robot import Robot
+from impact_observer.events import Contacts, Kind, Switch
 from impact_observer.stamps import Instant
 from impact_observer.states import Vector
 
@@ -26,21 +25,18 @@ class Switching:
     """
 
     instant: Instant
-    contacts: tuple[int, ...]
-    closed: tuple[int, ...]
-    held: tuple[int, ...]
+    contacts: Contacts
+    closed: Contacts
+    held: Contacts
     before: Vector
     after: Vector
     switches: tuple[Switch, ...]
 
 
 def switches(
-    system: System | Robot,
-    was_closed: tuple[int, ...],
-    contacts: tuple[int, ...],
-    closed: tuple[int, ...],
+    names: Sequence[str], was_closed: Contacts, contacts: Contacts, closed: Contacts
 ) -> tuple[Switch, ...]:
-    """The changes of ``chi``, in the order of the contacts. Arguments are indices.
+    """The changes of ``chi``, in the order of the contacts; ``names`` are those of all.
 
     Contacts ``was_closed`` before, ``contacts`` impact, and ``closed`` are closed afterwards.
     """
@@ -53,5 +49,5 @@ def switches(
             (True, True): None,
         }[i in was_closed, i in closed]
         if kind is not None:
-            changes.append(Switch(system.contact_names[i], kind))
+            changes.append(Switch(names[i], kind))
     return tuple(changes)

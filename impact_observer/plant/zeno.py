@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Zeno behaviour: where impacts accumulate the contact is closed before their accumulation point.
+"""Rest after an accumulation of impacts: a contact is closed just before the impacts accumulate.
 
 ``docs/theory/method.md`` says when, and how large the error is until that point.
 """
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from impact_observer.dynamics import DEPTH, Phases
-from impact_observer.dynamics.contact.complementarity import nonnegative
+from impact_observer.dynamics import DEPTH
+from impact_observer.dynamics.contact.complementarity import complementary
+from impact_observer.dynamics.mechanism import Pressing
+from impact_observer.dynamics.phase import independent
+from impact_observer.events import Contacts
 from impact_observer.stamps import Instant
 from impact_observer.states import Vector
 
@@ -29,116 +33,71 @@ COLLAPSED = 1e-8
 """The same energy, where impacts of several contacts have run into one."""
 _COMPARED = 5
 """Impacts of a contact whose intervals are compared."""
-_TINY = np.finfo(np.float64).tiny
 
 
-class ZenoCutoff:
-    """Decides which contacts of one system rest on their stops after an impact.
+def resting(
+    here: Pressing, gamma: Vector, still: Vector, contacts: Contacts, shortest: float
+) -> Contacts:
+    """The contacts that rest on their stops after an impact, as indices.
 
-    Attributes:
+    Args:
+        here: how contacts are pressed after the impact.
+        gamma: contact speeds after the impact, shape (m,), m/s.
+        still: contact speeds that are rounding, by the velocities before, shape (m,), m/s.
+        contacts: that took part.
         shortest: longest flight that counts as zero, s.
     """
+    lowest = LOW * here.reach
 
-    def __init__(self, phases: Phases) -> None:
-        """Prepare the scales for the comparison of flights."""
-        self._phases = phases
-        self._length = phases.length
-        self.shortest = SHORT * phases.scales.timescale
-        self._mode_sizes = np.abs(phases.system.W.T @ phases.scales.shapes)
-
-    def resting(
-        self, t: float, x: Vector, contacts: tuple[int, ...], before: Vector
-    ) -> tuple[int, ...]:
-        """The contacts that rest on their stops after an impact, as indices.
-
-        Args:
-            t: s since the epoch.
-            x: state (q, u+), shape (2n,).
-            contacts: indices of the contacts that took part.
-            before: velocities u-, shape (n,), the scale of rounding of contact speeds.
-        """
-        system = self._phases.system
-        q, u = x[: system.n], x[system.n :]
-        gamma = system.contact_speed(u).tolist()
-        rounding = self._phases.speed_tolerance(before).tolist()
-        # Gaps are rounded against the sum of all modes' magnitudes.
-        moved = self._mode_sizes @ self._phases.scales.reach(q, u)
-        lowest = (LOW * (np.abs(system.q_r) + moved + _TINY)).tolist()
-        free = self._free(t, x)
-        size = math.sqrt(free.dot(free))
-
-        def flight(i: int, fall: float) -> float:
-            return 0.0 if gamma[i] <= rounding[i] else self._flight(gamma[i], fall, lowest[i])
-
-        # A contact that still closes hits again at once: Newton's law allows it after separating.
-        # No contact comes back faster than with the whole acceleration, which mostly decides.
-        resting = [
-            i
-            for i in contacts
-            if gamma[i] >= -rounding[i] and flight(i, float(self._length[i]) * size) <= 1.0
-        ]
-        while resting:
-            flights = list(map(flight, resting, self._fall(free, resting).tolist()))
-            if max(flights) <= 1.0:
-                break
-            # Remove one at a time: without its load the others may rest or separate.
-            resting.pop(flights.index(max(flights)))
-        # A contact that depends on the others rests with them, even without load.
-        if not resting:
-            return ()
-        independent = self._phases.independent
-        return tuple(i for i in contacts if i in resting or not independent((i,), tuple(resting)))
-
-    def is_pressed(self, t: float, x: Vector, contacts: tuple[int, ...]) -> bool:
-        """Whether accelerations change contact speeds within the shortest flight.
-
-        ``x`` is the state (q, u), shape (2n,), at ``t``, s since the epoch.
-        """
-        change = np.abs(self._free(t, x) @ self._phases.B[:, list(contacts)]) * self.shortest
-        rounding = self._phases.speed_tolerance(x[self._phases.system.n :])[list(contacts)]
-        return bool(np.any(change > rounding))
-
-    def _free(self, t: float, x: Vector) -> Vector:
-        """The acceleration without loads, as ``Phases.white`` gives it, shape (n,).
-
-        ``x`` is the state (q, u), shape (2n,), at ``t``, s since the epoch.
-        """
-        system, law = self._phases.system, self._phases.unloaded()
-        q, u = x[: system.n], x[system.n :]
-        return self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q))
-
-    def _flight(self, speed: float, fall: float, lowest: float) -> float:
+    def flight(i: int, fall: float) -> float:
         """Next flight, relative to the longest that counts as none.
 
-        It begins with ``speed``, m/s, and ``fall`` is the acceleration back, m/s2, zero for a
-        contact that does not return. The height ``lowest`` counts as none, m.
+        ``fall`` is the acceleration back, m/s2, zero for a contact that does not return.
         """
+        speed = float(gamma[i])
+        if speed <= still[i]:
+            return 0.0
         if fall <= 0:
             return math.inf
-        return min(2 * speed / fall / self.shortest, speed * speed / (2 * fall) / lowest)
+        return min(2 * speed / fall / shortest, speed * speed / (2 * fall) / float(lowest[i]))
 
-    def _fall(self, free: Vector, contacts: list[int]) -> Vector:
-        """Acceleration with which each contact would come back if the others were held, m/s2.
+    # A contact that still closes hits again at once: Newton's law allows it after separating.
+    # No contact comes back faster than with the whole acceleration, which mostly decides.
+    most = here.length * math.sqrt(here.free.dot(here.free)) + np.abs(here.bias)
+    left = [i for i in contacts if gamma[i] >= -still[i] and flight(i, float(most[i])) <= 1.0]
+    while left:
+        flights = list(map(flight, left, _falls(here, left)))
+        if max(flights) <= 1.0:
+            break
+        # Remove one at a time: without its load the others may rest or separate.
+        left.pop(flights.index(max(flights)))
+    # A contact that depends on the others rests with them, even without load.
+    if not left or len(left) == len(contacts):
+        return tuple(left)
+    return tuple(
+        i for i in contacts if i in left or not independent(here.B, here.length, (i,), tuple(left))
+    )
 
-        Zero where a contact is not pressed on its stop. ``free`` is the acceleration without
-        loads, as ``Phases.white`` gives it, shape (n,).
-        """
-        along = self._phases.B[:, contacts]
-        if len(contacts) == 1:
-            return np.asarray(np.maximum(-free.dot(along), 0.0))
-        size = math.sqrt(free.dot(free)) or 1.0
-        length = self._length[contacts]
-        directions = along / length
-        fall = np.zeros(len(contacts))
-        loads = nonnegative(directions, -free / size)
-        if loads is None:  # directions are almost equal
-            return fall
-        pushed = size * loads
-        pressed = np.flatnonzero(pushed > 0)  # independent of each other
-        if pressed.size:
-            inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])
-            fall[pressed] = pushed[pressed] / np.diag(inverse) * length[pressed]
-        return fall
+
+def is_pressed(here: Pressing, still: Vector, contacts: Contacts, shortest: float) -> bool:
+    """Whether accelerations change speeds of ``contacts`` within the shortest flight."""
+    change = np.abs(here.rising(contacts)) * shortest
+    return bool(np.any(change > still[list(contacts)]))
+
+
+def _falls(here: Pressing, contacts: Sequence[int]) -> list[float]:
+    """Acceleration with which each contact would come back if the others were held, m/s2.
+
+    Zero where a contact is not pressed on its stop.
+    """
+    rising, B = here.rising(contacts), here.B[:, list(contacts)]
+    if len(contacts) == 1:
+        return [max(-float(rising[0]), 0.0)]
+    falls, loads = np.zeros(len(contacts)), complementary(B, rising)
+    if loads is not None and (pressed := np.flatnonzero(loads > 0)).size:
+        inverse = np.linalg.pinv(B[:, pressed].T @ B[:, pressed], hermitian=True)
+        falls[pressed] = loads[pressed] / np.diag(inverse)
+    return [float(each) for each in falls]
 
 
 class AccumulationDetector:
@@ -171,7 +130,7 @@ class AccumulationDetector:
 
         Free bodies between others may collapse without a load: their contacts are hit in turns, at
         intervals that shrink by a constant ratio, until rounding lets them be hit together.
-        Contacts that are pressed settle by ``ZenoCutoff`` instead.
+        Contacts that are pressed rest by ``resting`` instead.
         """
         return len(contacts) > 1 and all(_shrink(self._hits[i]) for i in contacts)
 

@@ -2,15 +2,19 @@
 """Robots: rigid bodies of a URDF with contacts against planes. Needs the extra ``robots``."""
 
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot import robot_of as multibody
+from impact_observer.robots.robot_mechanism import RobotMechanism
 from impact_observer.robots.robot_parameters import jump_by_parameters, rates_by_parameters
 from impact_observer.robots.robot_readings import RobotReading, robot_readings
 from impact_observer.robots.velocity_observer import VelocityObserver
 
 __all__ = [
     "Robot",
+    "RobotMechanism",
     "RobotReading",
     "VelocityObserver",
     "jump_by_parameters",
+    "multibody",
     "rates_by_parameters",
     "robot_readings",
 ]

@@ -159,6 +159,16 @@ class Robot:
         return LiveNames(self.coordinates, np.eye(self.n))
 
     @property
+    def gap_unit(self) -> str:
+        """Unit of the gaps."""
+        return "m"
+
+    @property
+    def plant_inputs(self) -> None:
+        """Signals for which a plant waits: none, as it makes its torques."""
+        return
+
+    @property
     def depends_on_time(self) -> bool:
         """Whether an observer needs an epoch: where measured torques act."""
         return self.live is not None
@@ -166,6 +176,25 @@ class Robot:
     def is_plain(self, contacts: Collection[int]) -> bool:
         """Whether all ``contacts`` rebound by a constant coefficient."""
         return self._special.isdisjoint(contacts)
+
+    def from_frame(self, ns: NDArray[np.int64], x: Matrix) -> Matrix:
+        """States (q, u), as planes do not move."""
+        del ns
+        return x
+
+    def to_frame(self, ns: NDArray[np.int64], x: Matrix) -> Matrix:
+        """The inverse of ``from_frame``."""
+        del ns
+        return x
+
+    def remarks(self, states: Matrix) -> list[str]:
+        """Joints that are held, and those whose limits the ``states`` pass, a line each."""
+        held = self.description.held_in_words
+        passed = [
+            f"{name} passes its limits in the URDF, which are no contacts"
+            for name in self.passed_limits(states)
+        ]
+        return [*([held] if held else []), *passed]
 
     def parts(self) -> NDArray[np.intp]:
         """The part to which each coordinate belongs, (n,): all joints move together."""
@@ -369,14 +398,22 @@ class Robot:
         return np.asarray(x + h / 6 * (one + 2 * two + 2 * three + four))
 
     def advanced_with_derivatives(
-        self, x: Vector, tau: Vector, seconds: float, closed: Contacts = ()
+        self,
+        x: Vector,
+        tau: Vector,
+        seconds: float,
+        closed: Contacts = (),
+        torques: Callable[[Vector, Vector], Matrix] | None = None,
     ) -> tuple[Vector, Matrix, Matrix]:
-        """``advanced``, and its derivatives by ``x``, (2n, 2n), and ``tau``, (2n, n).
+        """``advanced``, and its derivatives by ``x``, (2n, 2n), and by parameters, (2n, p).
 
-        The derivatives are those of the Runge-Kutta step itself.
+        The derivatives are those of the Runge-Kutta step itself. ``torques`` gives what a unit of
+        each parameter adds to the torques, shape (n, p), by velocities and accelerations; None
+        for derivatives by ``tau``.
         """
-        h, n = seconds, self.n
-        first = np.zeros((2 * n, 1 + 3 * n))  # the state, and its derivatives
+        h, n, unit = seconds, self.n, np.eye(self.n)
+        p = torques(x[n:], x[n:]).shape[1] if torques is not None else n
+        first = np.zeros((2 * n, 1 + 2 * n + p))  # the state, and its derivatives
         first[:, 0] = x
         first[:, 1 : 2 * n + 1] = np.eye(2 * n)
         at, total, slope = first, np.zeros_like(first), np.empty_like(first)
@@ -389,7 +426,8 @@ class Robot:
                 acceleration, by_q, by_u, by_tau = self._linearised(q, u, tau)
             slope[:n] = at[n:]
             slope[n:] = by_q @ at[:n] + by_u @ at[n:]
-            slope[n:, 2 * n + 1 :] += by_tau
+            added = unit if torques is None else torques(u, acceleration)
+            slope[n:, 2 * n + 1 :] += by_tau @ added
             slope[n:, 0] = acceleration
             total += weight * slope
             at = first + ahead * slope
@@ -796,8 +834,3 @@ def connected_robot(robot: Robot) -> tuple[Robot, LiveSignals | None]:
         return robot, None
     signals = LiveSignals(cast(System, robot), causal=False)
     return robot.under_efforts(signals.samples), signals
-
-
-def held_joints(system: System | Robot) -> str:
-    """A line on joints that a robot holds; empty for none, and for linear systems."""
-    return system.description.held_in_words if isinstance(system, Robot) else ""

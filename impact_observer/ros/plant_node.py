@@ -19,8 +19,8 @@ from impact_observer.io.simulated_samples import Sampling
 from impact_observer.model import System, read_model
 from impact_observer.model.live_signals import LiveSignals, connected
 from impact_observer.model.measurements_file import read_measurements
-from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
-from impact_observer.robots.robot import held_joints, simulated
+from impact_observer.model.multibody import multibody_of
+from impact_observer.plant import Plant, SensorModel, SensorSimulation
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.live_intake import LiveIntake
@@ -66,7 +66,7 @@ class PlantNode(BaseNode):
         values = self.values
         self._paused, self._started = time.monotonic_ns(), 0
         self._model = self.with_urdf_of_topic(read_model(values.text("model")))
-        self._system = simulated(self._model)
+        self._system = multibody_of(self._model)
         self._rate = values.number("rate")
         self._duration = from_seconds(values.number("duration"))
         self._factor = values.number("realtime_factor")
@@ -111,7 +111,7 @@ class PlantNode(BaseNode):
         self._is_held = False
         self._waits_since: float | None = None
         self._waited_at = self._seen = 0
-        self._plant: Master | None = None
+        self._plant: Plant | None = None
         self._ready_since: float | None = None
         # The timer is set to the next thing that is due, in wall time.
         self._timer = self.repeat(_LONGEST_SLEEP, self._on_timer)
@@ -120,7 +120,7 @@ class PlantNode(BaseNode):
         if self._wanted_subscribers:
             waits = f"{self._wanted_subscribers} subscribers on each topic"
         self.introduce(f"model {self._system.name}", waits)
-        if line := held_joints(self._system):
+        for line in self._system.remarks(np.zeros((0, 2 * self._system.n))):
             self.lines.info(line)
 
     def _check_time_source(self) -> None:
@@ -213,7 +213,7 @@ class PlantNode(BaseNode):
     def _start(self, epoch: int) -> None:
         """Start an episode at ``epoch``."""
         self._waits_since = None
-        self._plant = make_plant(
+        self._plant = Plant(
             self._system,
             *self._model.initial_state(),
             epoch=epoch,

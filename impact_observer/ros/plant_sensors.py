@@ -12,9 +12,8 @@ from impact_observer.events import Contacts
 from impact_observer.io.interfaces import SENSORS
 from impact_observer.io.messages import AnyMessage
 from impact_observer.io.simulated_samples import SampleSimulation, Sampling, SimulatedMessage
-from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
-from impact_observer.robots.robot import Robot
+from impact_observer.model.multibody import Multibody
 from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.states import Vector
@@ -27,7 +26,7 @@ class PlantSensors:
         self,
         node: BaseNode,
         measurements: Sequence[Measurement],
-        system: System | Robot,
+        system: Multibody,
         sampling: Sampling,
         seed: int,
     ) -> None:

@@ -17,8 +17,7 @@ from impact_observer.events import ImpactEvent
 from impact_observer.model import Model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options
-from impact_observer.plant import simulate
-from impact_observer.plant.master import make_plant
+from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S
 
 EPOCH = 5 * NS_PER_S
@@ -36,7 +35,7 @@ def recorded(
     """Return a model, events of a plant with changed parameters, and its states each 20 ms."""
     model, rng = sample(name), np.random.default_rng(seed)
     family = parametric_family(model.system, tuple(change), model.elements)
-    plant = make_plant(
+    plant = Plant(
         family.system_at(np.array(list(change.values()))), *model.initial_state(), epoch=EPOCH
     )
     run = simulate(plant, np.arange(EPOCH, EPOCH + round(seconds * NS_PER_S), NS_PER_S // 50))

@@ -33,8 +33,7 @@ from impact_observer.observer import (
 from impact_observer.observer.laws import MeasuredPosition
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
-from impact_observer.plant import simulate
-from impact_observer.plant.master import make_plant
+from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
 from impact_observer.robots import Robot, VelocityObserver
 from impact_observer.robots.velocity_observer import MARGIN
@@ -88,7 +87,7 @@ def test_v_falls_in_each_interval_of_exact_samples_as_promised(
     robot, rate = Robot(model), 1000.0
     q, u = np.split(np.array(start), 2)
     stamps = grid(EPOCH, EPOCH + from_seconds(seconds), rate)
-    run = simulate(make_plant(robot, q, u, epoch=EPOCH), stamps)
+    run = simulate(Plant(robot, q, u, epoch=EPOCH), stamps)
     assert {switch.kind for event in run.events for switch in event.switches} == kinds
     observer = observer_of(robot, q, u + WRONG, [*encoders(model)])
     events, V = [*run.events], list[float]()
@@ -110,7 +109,7 @@ def test_dense_samples_lead_to_the_velocity_observer_in_continuous_time() -> Non
     robot = Robot(model)
     start, seconds, last = np.array([0.3, 0.8, 1.0, -2.0]), 0.05, EPOCH + NS_PER_S // 20
     fine = grid(EPOCH, last, 40_000.0)
-    plant = simulate(make_plant(robot, start[:2], start[2:], epoch=EPOCH), fine)
+    plant = simulate(Plant(robot, start[:2], start[2:], epoch=EPOCH), fine)
     truth, count = plant.states, (fine.size - 1) // 2
     assert not plant.events
     exact = VelocityObserver(robot, start[2:] + WRONG)
@@ -188,7 +187,7 @@ def test_replicas_agree_after_three_hits(monkeypatch: pytest.MonkeyPatch) -> Non
     robot = Robot(pressed())
     system, q = cast(System, robot), np.array([0.8, 0.3])
     stamps = grid(EPOCH, EPOCH + from_seconds(0.51), 500.0)
-    run = simulate(make_plant(robot, q, np.zeros(2), epoch=EPOCH), stamps)
+    run = simulate(Plant(robot, q, np.zeros(2), epoch=EPOCH), stamps)
     observer = Observer(
         system,
         MeasuredPosition(system),

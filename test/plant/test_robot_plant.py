@@ -9,7 +9,7 @@ from scipy import integrate, special
 from impact_observer.errors import UsageError
 from impact_observer.model import Model, read_model
 from impact_observer.plant import Run, simulate
-from impact_observer.plant.robot_plant import RobotPlant
+from impact_observer.plant.event_driven import Plant
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, grid
 from impact_observer.states import Vector
@@ -26,7 +26,7 @@ def robot_of(model: Model) -> Robot:
 
 def run_of(model: Model, q: list[float], u: list[float], seconds: float, rate: float = 50) -> Run:
     """A run from the epoch on."""
-    plant = RobotPlant(robot_of(model), np.array(q), np.array(u), epoch=EPOCH)
+    plant = Plant(robot_of(model), np.array(q), np.array(u), epoch=EPOCH)
     return simulate(plant, grid(EPOCH, EPOCH + round(seconds * NS_PER_S), rate))
 
 
@@ -145,7 +145,7 @@ def test_a_lasting_contact_stays_closed_and_opens_by_the_sign_of_its_load() -> N
         damping="{shoulder: 0.4, elbow: 0.4}",
     )
     robot = robot_of(model)
-    plant = RobotPlant(robot, np.array([0.5, 0.3]), np.zeros(2), epoch=EPOCH)
+    plant = Plant(robot, np.array([0.5, 0.3]), np.zeros(2), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, EPOCH + 6 * NS_PER_S, 1000))
     gaps = np.array([robot.gaps(x[:2])[0] for x in run.states])
     assert np.min(gaps) > -1e-10
@@ -181,7 +181,7 @@ def test_equal_seconds_after_any_epoch_are_equal_runs() -> None:
     model = read_model("hammer_arm")
     runs = []
     for epoch in (NS_PER_S, 1_700_000_000 * NS_PER_S):
-        plant = RobotPlant(robot_of(model), *model.initial_state(), epoch=epoch)
+        plant = Plant(robot_of(model), *model.initial_state(), epoch=epoch)
         runs.append(simulate(plant, grid(epoch, epoch + 3 * NS_PER_S, 20)))
     assert len(runs[0].events) >= 2
     assert [each.stamp - NS_PER_S for each in runs[0].events] == [
@@ -195,7 +195,7 @@ def test_several_planes_close_together() -> None:
     model = random_arm(11, 3, contacts=3)
     robot, rng = robot_of(model), np.random.default_rng(0)
     starts = [q for q in rng.normal(size=(200, 3)) if np.all(robot.gaps(q) > 0.02)]
-    plant = RobotPlant(robot, starts[0], rng.normal(size=3), epoch=EPOCH)
+    plant = Plant(robot, starts[0], rng.normal(size=3), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, EPOCH + 3 * NS_PER_S, 100))
     assert len(run.impacts) >= 2
     gaps = np.array([robot.gaps(x[:3]) for x in run.states])
@@ -228,7 +228,7 @@ def test_a_start_inside_a_plane_is_refused() -> None:
     """As a start inside a stop is."""
     model = model_of(PENDULUM, "hinge", contacts=wall())
     with pytest.raises(UsageError, match="inside the plane of 'wall'"):
-        RobotPlant(robot_of(model), np.array([-0.5]), np.zeros(1), epoch=EPOCH)
+        Plant(robot_of(model), np.array([-0.5]), np.zeros(1), epoch=EPOCH)
 
 
 def test_sampled_torques_act_from_sample_to_sample() -> None:

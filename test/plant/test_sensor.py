@@ -17,10 +17,10 @@ from impact_observer.events import Kind, Switch
 from impact_observer.options import Option
 from impact_observer.plant import (
     IDEAL,
+    Plant,
     SensorMessage,
     SensorModel,
     Switching,
-    make_plant,
     simulate,
     simulate_sensor,
 )
@@ -55,7 +55,7 @@ def assert_fraction(found: int, of: int, expected: float) -> None:
 def test_ideal_sensor_reports_the_events_of_the_run(name: str) -> None:
     """Bit for bit, with sequence numbers, without latency, for any seed."""
     model = sample(name)
-    plant = make_plant(model.system, *model.initial_state(), epoch=EPOCH)
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     found = simulate(plant, grid(EPOCH, EPOCH + 6 * NS_PER_S, 10.0))
     last = int(found.stamps[-1])
     for seed in (0, 3):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from arms import random_arm
 
-from impact_observer.plant import make_plant, simulate
+from impact_observer.plant import Plant, simulate
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -20,7 +20,7 @@ def test_seven_joints_move_as_in_mujoco() -> None:
     robot, n = Robot(model.robot), 7
     rng = np.random.default_rng(3)
     q, u = rng.normal(size=(2, n))
-    run = simulate(make_plant(robot, q, u, epoch=NS_PER_S), grid(NS_PER_S, 2 * NS_PER_S, 10))
+    run = simulate(Plant(robot, q, u, epoch=NS_PER_S), grid(NS_PER_S, 2 * NS_PER_S, 10))
     text = model.robot.known_urdf.text
     options = '<mujoco><compiler fusestatic="false" balanceinertia="false"/></mujoco></robot>'
     other = mujoco.MjModel.from_xml_string(text.replace("</robot>", options))

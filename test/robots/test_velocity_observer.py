@@ -6,7 +6,7 @@ import pytest
 from arms import DOUBLE, model_of, random_arm, wall
 
 from impact_observer.errors import UsageError
-from impact_observer.plant import make_plant
+from impact_observer.plant import Plant
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.velocity_observer import VelocityObserver, growth_rate
 from impact_observer.stamps import NS_PER_S
@@ -62,7 +62,7 @@ def test_the_estimate_finds_the_velocity_of_a_plant_that_slides_along_a_wall() -
     )
     assert model.robot is not None
     robot = Robot(model.robot)
-    plant = make_plant(robot, np.array([0.8, 0.3]), np.zeros(2), epoch=NS_PER_S)
+    plant = Plant(robot, np.array([0.8, 0.3]), np.zeros(2), epoch=NS_PER_S)
     observer, tau = (
         VelocityObserver(robot, np.array([2.0, -3.0]), margin=2.0),
         np.array([-3.0, -1]),

@@ -19,7 +19,7 @@ from systems import EPOCH
 
 from impact_observer.io import interfaces
 from impact_observer.model import read_model
-from impact_observer.plant import make_plant, simulate
+from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
 from impact_observer.robots.robot import simulated
 from impact_observer.ros.topics import message_class, qos_profile
@@ -73,7 +73,7 @@ def test_a_robot_is_simulated_live_as_offline(
     assert process.returncode == 0
     robot = simulated(sample)
     stamps = grid(EPOCH, EPOCH + round(2.5 * NS_PER_S), 100)
-    run = simulate(make_plant(robot, *sample.initial_state(), epoch=EPOCH), stamps)
+    run = simulate(Plant(robot, *sample.initial_state(), epoch=EPOCH), stamps)
     found = [each.header.stamp.sec * NS_PER_S + each.header.stamp.nanosec for each in events]
     assert found == [each.stamp for each in run.events]
     assert len(found) >= 1

@@ -13,13 +13,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.contact.persistent_contact import (
-    Grip,
-    ended,
-    persistent_contacts,
-)
+from impact_observer.dynamics.contact.persistent_contact import ended, persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.flow import Motion, PhaseMotion
+from impact_observer.dynamics.mechanism import Grip
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.roots import RootSearch
 from impact_observer.dynamics.watched import End, Watch, Watched

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.dynamics.contact.complementarity import nonnegative
+from impact_observer.dynamics.mechanism import Grip
 from impact_observer.dynamics.phase import RANK, Phase, Phases, orthonormal, without
 from impact_observer.errors import DynamicsError
 from impact_observer.states import Vector
@@ -25,18 +26,6 @@ _ORDERS = 6
 """Derivatives that are examined before a contact counts as closed."""
 _ZERO = 1e-11
 """Acceleration that counts as none, relative to the largest term of its sum."""
-
-
-class Grip(NamedTuple):
-    """The closed contacts, and those of them that carry loads.
-
-    Attributes:
-        closed: contacts that stay closed, as indices.
-        held: contacts that carry the loads, independent of each other, as indices.
-    """
-
-    closed: tuple[int, ...]
-    held: tuple[int, ...]
 
 
 def persistent_contacts(

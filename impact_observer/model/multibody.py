@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A multibody system with contacts: what any room may ask of it, whatever its equations are.
+
+Linear systems (``System``) answer by themselves. What else a model file can describe is made by
+the room that ``MADE_BY`` names for it.
+"""
+
+from importlib import import_module
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.grounds import LiveNames
+from impact_observer.model.model_file import Model
+from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.model.system import System
+from impact_observer.states import Matrix, Vector
+
+MADE_BY = {"urdf": "impact_observer.robots"}
+"""Modules whose function ``multibody`` makes the system of a model, by the key of its file."""
+
+
+class Multibody(Protocol):
+    """Names, sizes and contacts of a system with n coordinates and m contacts.
+
+    States are (q, u), shape (2n,) or (samples, 2n).
+    """
+
+    @property
+    def name(self) -> str:
+        """Of the model."""
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates, as in ``JointState``."""
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Names of the contacts."""
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+
+    @property
+    def m(self) -> int:
+        """Number of contacts."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of the coordinates, or of the first where they differ."""
+
+    @property
+    def gap_unit(self) -> str:
+        """Unit of the gaps."""
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of (q, u)."""
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """Units of (q, u)."""
+
+    @property
+    def turns(self) -> NDArray[np.bool_]:
+        """Which coordinates are known modulo a turn, shape (n,)."""
+
+    @property
+    def forcing(self) -> Forcing:
+        """What drives it."""
+
+    @property
+    def plant_inputs(self) -> LiveNames | None:
+        """Signals known only live, for which a plant waits; None without any."""
+
+    @property
+    def rebounds(self) -> tuple[ReboundLaw, ...]:
+        """How each contact rebounds."""
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether its motion depends on the time since the epoch."""
+
+    def held_force(self, t: float, /) -> str:
+        """A warning if ``t``, s since the epoch, is after the last sample; otherwise empty."""
+
+    def remarks(self, states: Matrix, /) -> list[str]:
+        """What a user should know of a run through these states."""
+
+    def contact_speeds(self, x: Vector, /) -> Vector:
+        """Contact speeds in a state, shape (m,), m/s."""
+
+    def closed_at(self, q: Vector, /) -> tuple[int, ...]:
+        """Indices of the contacts with ``g <= 0`` but for rounding at ``q``, shape (n,)."""
+
+    def gaps_at(self, ns: NDArray[np.int64], states: Matrix, /) -> Matrix:
+        """Gaps in states at ``ns`` since the epoch, shape (samples, m)."""
+
+    def from_frame(self, ns: NDArray[np.int64], x: Matrix, /) -> Matrix:
+        """States from those in the frame in which no stop moves, at ``ns`` since the epoch."""
+
+    def to_frame(self, ns: NDArray[np.int64], x: Matrix, /) -> Matrix:
+        """The inverse of ``from_frame``."""
+
+    def checked_state(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
+        """``position`` and ``velocity`` as read-only arrays of shape (n,).
+
+        Raises:
+            UsageError: a wrong number of values, or one that is not finite.
+        """
+
+    def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
+        """The initial state of a plant in the frame at the epoch, outside all stops.
+
+        Raises:
+            UsageError: as ``checked_state``, or a stop is penetrated.
+        """
+
+
+def multibody_of(model: Model) -> Multibody:
+    """The system of a ``model``, as a plant moves it.
+
+    Raises:
+        UsageError: a library that makes it is not installed, or a part of it has not come yet.
+        ModelError: the model makes no system that can move.
+    """
+    if isinstance(model.subject, System):
+        return model.subject
+    found: Multibody = import_module(MADE_BY["urdf"]).multibody(model)
+    return found
