@@ -13,8 +13,9 @@ from math import log
 
 import numpy as np
 
-from impact_observer.batch.moments import Moments
+from impact_observer.batch.moments import Moment, Moments
 from impact_observer.batch.motion_fit import LOST, BatchProblem, MotionFit, fitted
+from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.revision import revised
 from impact_observer.batch.verdict import FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError
@@ -22,8 +23,6 @@ from impact_observer.model.free_parameters import is_phase
 from impact_observer.options import Options
 from impact_observer.states import Vector
 
-ByFilter = Callable[[Vector, float], Moments]
-"""The account of a filter with parameters, shape (p,), and their deviations over their sizes."""
 _SHARES = 0.1, 0.03, 0.01
 """Deviations of parameters over their sizes in the filters that make accounts."""
 _REVISIONS = 6
@@ -67,32 +66,39 @@ class Explanation:
 
 def explanation(
     problem: BatchProblem,
-    by_filter: ByFilter | None = None,
+    run: RecordedRun,
     *,
     options: Options,
+    trusts_events: bool = False,
+    resolution: float = 0.0,
     show: Callable[[str], None] = lambda _: None,
 ) -> Explanation:
     """Search the account that explains a recording best.
 
     Args:
         problem: with the moments as reported.
-        by_filter: the account of a filter; None to trust all events.
-        options: probabilities of missed and spurious impacts.
+        run: the events.
+        options: of the filter, with probabilities of missed and spurious impacts.
+        trusts_events: whether all events are as reported.
+        resolution: of printed times, s: errors below half of it are no evidence.
         show: receives what is being done.
 
     Raises:
         DynamicsError: no motion at all was found.
     """
-    reported, tried = problem.moments, list[Moments]()
+    reported, tried = problem.moments, list[tuple[Moment, ...]]()
     best: Explanation | None = None
-    for share in (None, *(_SHARES if by_filter else ())):
+    prior = np.linalg.norm(problem.theta, axis=1)
+    for share in (None, *(() if trusts_events else _SHARES)):
         theta, moments = None, reported
-        if share is not None and by_filter is not None:
+        if share is not None:
             theta = best.fit.values if best and share != _SHARES[0] else None
-            moments = by_filter(problem.family.nominal if theta is None else theta, share)
-        if any(_alike(moments, each) for each in tried):
+            about = problem.family.nominal if theta is None else theta
+            deviation = np.minimum(prior, share * problem.family.sizes)
+            moments = run.by_filter(problem.family, about, deviation, options, show)
+        if moments.each in tried:
             continue
-        tried.append(moments)
+        tried.append(moments.each)
         try:
             found = _revised(replace(problem, moments=moments), theta, reported, options, show)
         except (DynamicsError, np.linalg.LinAlgError):
@@ -103,6 +109,10 @@ def explanation(
             break
     if best is None:
         raise DynamicsError("no motion explains the impacts")
+    if problem.clock is None and 0 < best.fit.rms <= resolution / 2:
+        # of a periodic motion the rounding repeats itself, which says nothing of the model
+        rounded = replace(best.fit.problem, clock=resolution)
+        return _explained(fitted(rounded, best.fit, show=show), reported, options)
     return best
 
 
@@ -173,11 +183,3 @@ def _explained(fit: MotionFit, reported: Moments, options: Options) -> Explanati
     missed, spurious = max(options.missed, 1e-6), max(options.spurious, 1e-6)
     evidence = fit.log_density + inserted * log(missed) + max(rejected, 0) * log(spurious / flight)
     return Explanation(fit, verdict_on(fit), evidence)
-
-
-def _alike(one: Moments, other: Moments) -> bool:
-    """Return whether two accounts are the same."""
-    return len(one.each) == len(other.each) and all(
-        a.switching == b.switching and a.is_measured == b.is_measured and a.t == b.t
-        for a, b in zip(one.each, other.each, strict=True)
-    )

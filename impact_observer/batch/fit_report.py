@@ -56,7 +56,7 @@ def why_useless(found: Identification) -> str:
 
 def shift_of(found: Identification) -> TimeShift:
     """By how much a motion of the fitted model may be early or late; none where it fits."""
-    late, moments = found.predicted, found.fit.problem.moments
+    late, moments = found.fit.predicted, found.fit.problem.moments
     if found.verdict.fits or late.size < 2:
         return NO_SHIFT
     return TimeShift(float(np.max(np.abs(late))), float(np.mean(moments.flights[1:])))
@@ -129,9 +129,8 @@ def _about_events(found: Identification) -> Iterator[tuple[str, str]]:
 def _sensors(found: Identification) -> Iterator[dict[str, Any]]:
     """Yield how many samples of each sensor count, and by how much these differ."""
     fit = found.fit
-    errors = fit.samples.errors(fit.back.nodes.mean[1::2])
     for index, sensor in enumerate(fit.problem.samples):
-        own = errors[fit.samples.sensor == index]
+        own = fit.sample_errors[fit.samples.sensor == index]
         rms = float(np.sqrt(np.mean(np.square(own)))) if own.size else 0.0
         yield {
             "name": sensor.measurement.name,
@@ -195,7 +194,7 @@ def for_json(found: Identification) -> dict[str, Any]:
         "impacts": int(moments.row_moment.size),
         "inserted": sum(not each.is_measured for each in moments.each),
         "rejected": sum(v.ruling.name == "REJECTED" for v in found.run.verdicts(moments)),
-        "rms": found.rms,
+        "rms": found.fit.rms,
         "converged": found.fit.is_settled,
         "parameters": {
             each.name: {
@@ -296,7 +295,7 @@ def model_text(
     document = cast("dict[str, Any]", load_yaml(given.text))
     rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
     shift = shift_of(found)
-    shown = (found.verdict.fits, found.rms, *(shift if shift.largest else ()))
+    shown = (found.verdict.fits, found.fit.rms, *(shift if shift.largest else ()))
     provenance: dict[str, object] = {
         **dict(zip(VERDICT, shown, strict=False)),
         "package": "impact_observer",

@@ -4,29 +4,25 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from impact_observer.batch.explanation import Explanation, explanation
-from impact_observer.batch.filter_account import TracedLaw, account_of
-from impact_observer.batch.moments import Moments
 from impact_observer.batch.motion_fit import BatchProblem, MotionFit, fitted
-from impact_observer.batch.recorded_run import RecordedRun, filter_family
+from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.sample_rows import flight_samples
 from impact_observer.batch.verdict import FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError, IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.uncertainty import deviation_of, suggested_deviation
-from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model.free_parameters import OFFSET, is_phase, parameters_beside
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.system import refuse_squares
-from impact_observer.observer import Options, make_observer
+from impact_observer.observer import Options
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.states import Matrix, Vector
@@ -50,14 +46,19 @@ class Cause:
         given: as in the model.
         value: with which the model fits best.
         error: standard error of this value.
-        fits: whether the model fits with the parameter free, too.
+        found: the motion with the parameter free, too.
     """
 
     name: str
     given: float
     value: float
     error: float
-    fits: bool
+    found: Explanation
+
+    @property
+    def fits(self) -> bool:
+        """Whether the model fits with the parameter free, too."""
+        return self.found.verdict.fits
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,16 +105,6 @@ class Identification:
         return np.asarray(self.fit.states[0][0])
 
     @property
-    def rms(self) -> float:
-        """Root mean square of what stamps differ by from predictions, s."""
-        return float(np.sqrt(np.mean(np.square(self.predicted)))) if self.predicted.size else 0.0
-
-    @cached_property
-    def predicted(self) -> Vector:
-        """Instants that the motion up to there predicts minus stamps, shape (any,), s."""
-        return self.fit.predicted
-
-    @property
     def undetermined(self) -> tuple[str, ...]:
         """Names of the parameters of which the recording says nothing."""
         pairs = zip(self.family.parameters, self.errors.tolist(), strict=True)
@@ -136,6 +127,7 @@ def identify(
     events: Sequence[ImpactEvent],
     *,
     clock: float | None = None,
+    resolution: float = 0.0,
     trust_events: bool = False,
     progress: Callable[[str], None] = lambda _: None,
     measurements: Sequence[Measurement] = (),
@@ -150,6 +142,7 @@ def identify(
         family: a system and its free parameters.
         events: their last episode counts.
         clock: standard deviation of a stamp, s; None to estimate it.
+        resolution: of printed times, s: errors below half of it are no evidence.
         trust_events: whether to reject no impact as spurious and to insert no missed one.
         progress: receives what is being done.
         measurements: of sensors beside the impacts.
@@ -176,9 +169,6 @@ def identify(
     require_epoch(system, max(each.epoch for each in events))
     run = RecordedRun(system, events, episode.epoch, episode.start, episode.keys)
     options = Options(
-        law=TracedLaw.name,
-        ensemble=1,
-        epoch=run.epoch,
         dead_time=dead_time,
         mislabelled=mislabelled,
         clock_error=-1.0 if clock is None else clock,
@@ -196,21 +186,15 @@ def identify(
     )
     _check_enough(problem)
 
-    def by_filter(theta: Vector, share: float) -> Moments:
-        progress("which impacts are missing or false")
-        near = filter_family(family, theta)
-        unknowns = (
-            UnknownParameters(near, np.diag((share * near.sizes) ** 2)) if near.size else None
-        )
-        observer = make_observer(near.system, options, law=TracedLaw, unknowns=unknowns)
-        law = observer.law
-        assert isinstance(law, TracedLaw), "as it was made"
-        return run.by_filter(account_of(observer, law, run.events))
-
     try:
         with np.errstate(all="ignore"):  # far from the answer a trial motion may grow
             found = explanation(
-                problem, None if trust_events else by_filter, options=options, show=progress
+                problem,
+                run,
+                options=options,
+                trusts_events=trust_events,
+                resolution=resolution,
+                show=progress,
             )
             causes = () if found.verdict.fits else _causes(found.fit, progress)
     except DynamicsError as error:
@@ -273,9 +257,9 @@ def _causes(fit: MotionFit, progress: Callable[[str], None]) -> tuple[Cause, ...
             continue
         error = float(np.sqrt(found.covariance[-1, -1]))
         own = family.parameters[-1]
-        value, fits = float(found.values[-1]), verdict_on(found).fits
-        causes.append(Cause(own.name, own.value, value, error, fits))
-        if fits:
+        explained = Explanation(found, verdict_on(found), found.log_density)
+        causes.append(Cause(own.name, own.value, float(found.values[-1]), error, explained))
+        if causes[-1].fits:
             break
     return tuple(sorted(causes, key=lambda each: not each.fits))
 

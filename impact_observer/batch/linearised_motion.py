@@ -64,6 +64,11 @@ class LinearisedMotion(NamedTuple):
     own_late: Vector
     own_late_by_x: Matrix
 
+    @property
+    def late_by_y(self) -> Matrix:
+        """Derivatives of ``late`` by states and parameters, shape (R, 2n + p)."""
+        return np.hstack([self.late_by_x, self.late_by_theta])
+
 
 def linearised(tangent: Tangent, moments: Moments, x: Matrix) -> LinearisedMotion:
     """Linearise the motion about states at the nodes, shape (K + 1, 2n).

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from impact_observer.states import Matrix, Vector
 
 Array = NDArray[np.float64]
-_ALIKE = 0.05
-"""Change of the size of a noise that counts as none."""
+WORTH = 3.0
+"""Logarithm of the odds by which one more kind of noise must explain a recording better."""
 
 
 class NoiseSizes(NamedTuple):
-    """Sizes of the noises of L models, each of shape (L,).
+    """Sizes of the noises.
 
     Attributes:
         clock: standard deviation of a stamp, s.
@@ -33,15 +33,14 @@ class NoiseSizes(NamedTuple):
         model: error of accelerations, over the usual acceleration of each coordinate.
     """
 
-    clock: Vector
-    scatter: Vector
-    model: Vector
+    clock: float
+    scatter: float = 0.0
+    model: float = 0.0
 
-    def is_like(self, other: "NoiseSizes") -> bool:
-        """Whether all sizes are nearly those of ``other``."""
-        return all(
-            np.allclose(*each, rtol=_ALIKE, atol=0.0) for each in zip(self, other, strict=True)
-        )
+    @property
+    def price(self) -> float:
+        """Logarithm of the odds by which the optional kinds must explain a recording better."""
+        return WORTH * ((self.scatter > 0) + (self.model > 0))
 
 
 class MeasuredRow(NamedTuple):
@@ -90,40 +89,52 @@ class Gaussian(NamedTuple):
     root: Array
 
 
-class _Update(NamedTuple):
-    """A measurement, over the deviation of the innovation: ``S' h``, noise and innovation."""
+class Update(NamedTuple):
+    """A measurement.
 
+    Attributes:
+        innovation: in standard deviations.
+        spread: this standard deviation, s or the unit of the sample.
+        gain: what the unknown moves by for an innovation of one deviation, shape (N,).
+        seen: ``S' h`` over the deviation, shape (any,).
+        noise: that of the measurement over the deviation.
+    """
+
+    innovation: float
+    spread: float
+    gain: Vector
     seen: Vector
     noise: float
-    innovation: float
 
 
-class _StepTrace(NamedTuple):
-    """A step by one model: node and root before measurements, root after, and the maps back."""
+class StepTrace(NamedTuple):
+    """A step on the way forward.
+
+    Attributes:
+        node: the unknown at the end of the step, before the measurements.
+        root: after the measurements, shape (N, N).
+        kept: part of ``e`` before the step by ``e`` after the step, shape (N, N).
+        lost: part of ``e`` before the step on which nothing later depends, shape (N, any).
+        updates: the measurements.
+    """
 
     node: Gaussian
     root: Matrix
     kept: Matrix
     lost: Matrix
-    updates: list[_Update]
+    updates: Sequence[Update]
 
 
 class Forward(NamedTuple):
-    """The way to the last node by L models.
+    """The way to the last node.
 
     Attributes:
-        log_density: logarithm of the density of all that is measured, shape (L,).
-        innovations: of all rows in order, in standard deviations, shape (L, R).
-        spreads: these standard deviations, shape (L, R).
-        last: the unknown at the last node, by the measurements up to there.
-        traces: of the steps, for ``backward``; none of several models.
+        log_density: logarithm of the density of all that is measured.
+        traces: of the steps.
     """
 
-    log_density: Vector
-    innovations: Matrix
-    spreads: Matrix
-    last: Gaussian
-    traces: list[_StepTrace]
+    log_density: float
+    traces: Sequence[StepTrace]
 
 
 class Backward(NamedTuple):
@@ -139,64 +150,40 @@ class Backward(NamedTuple):
     joint: Array
 
 
-def forward(
-    prior: Gaussian, steps: Sequence[LinearStep], sizes: NoiseSizes, *, keep: bool = False
-) -> Forward:
-    """Pass through all steps by L models at once.
+def forward(prior: Gaussian, steps: Sequence[LinearStep], sizes: NoiseSizes) -> Forward:
+    """Pass through all steps.
 
     Args:
         prior: at the first node, shape (N,) and (N, N).
         steps: K steps.
-        sizes: of L models.
-        keep: whether ``backward`` will follow, of one model.
+        sizes: of the noises.
     """
-    L, N = sizes.clock.size, prior.mean.size
-    a = np.broadcast_to(prior.mean, (L, N)).copy()
-    S = np.broadcast_to(prior.root, (L, N, N)).copy()
-    log_density, traces = np.zeros(L), list[_StepTrace]()
-    innovations, spreads = list[Vector](), list[Vector]()
+    a, S, N = prior.mean.copy(), prior.root, prior.mean.size
+    whole, nothing, traces, log_density = np.eye(N), np.zeros((N, 0)), list[StepTrace](), 0.0
     for step in steps:
-        d = len(step.T)
-        a[:, :d] = a @ step.T.T + step.offset
-        S[:, :d] = step.T @ S
-        kept, lost, size = np.eye(N), np.zeros((N, 0)), sizes[1 if step.is_jump else 2]
-        if step.noise.size and np.any(size):
-            S, kept, lost = _with_noise(S, step, size, keep=keep)
-        node, updates = Gaussian(a[0].copy(), S[0].copy()), list[_Update]()
+        d, size = len(step.T), sizes.scatter if step.is_jump else sizes.model
+        a[:d] = step.T @ a + step.offset
+        S = np.concatenate([step.T @ S, S[d:]])
+        kept, lost = whole, nothing
+        if size and step.noise.size:
+            q = step.noise.shape[1]
+            wide = np.zeros((N + q, N))
+            wide[:N], wide[N:, :d] = S.T, size * step.noise.T
+            Q, R = np.linalg.qr(wide, mode="complete")
+            S, kept, lost = R[:N].T, Q[:N, :N], Q[:N, N:]
+        node, updates = Gaussian(a.copy(), S), list[Update]()
         for row in step.rows:
             sigma = row.deviation * (sizes.clock if row.is_instant else 1.0)
             u = row.h @ S
-            s = np.sqrt(sigma**2 + np.einsum("ln,ln->l", u, u))
-            nu = -(row.value + a @ row.h) / s
-            u /= s[:, None]
-            gain = np.einsum("lij,lj->li", S, u)
-            a += gain * nu[:, None]
-            S -= gain[:, :, None] * (u / (1 + sigma / s)[:, None])[:, None]
-            log_density -= nu**2 / 2 + np.log(s)
-            innovations.append(nu)
-            spreads.append(s)
-            if keep:
-                updates.append(_Update(u[0], float((sigma / s)[0]), float(nu[0])))
-        if keep:
-            traces.append(_StepTrace(node, S[0].copy(), kept, lost, updates))
-    log_density -= len(innovations) / 2 * np.log(2 * np.pi)
-    normalized, spread = (np.reshape(each, (-1, L)).T for each in (innovations, spreads))
-    return Forward(log_density, normalized, spread, Gaussian(a, S), traces)
-
-
-def _with_noise(
-    S: Array, step: LinearStep, size: Vector, *, keep: bool
-) -> tuple[Array, Matrix, Matrix]:
-    """Return roots with the noise of a step, and how ``e`` before comes from ``e`` after."""
-    (L, N, _), (d, q) = S.shape, step.noise.shape
-    whole = np.zeros((L, N, N + q))
-    whole[:, :, :N] = S
-    whole[:, :d, N:] = size[:, None, None] * step.noise
-    if not keep:
-        R = np.asarray(np.linalg.qr(np.swapaxes(whole, 1, 2), mode="r"))
-        return np.swapaxes(R, 1, 2).copy(), np.eye(N), np.zeros((N, 0))
-    Q, triangular = np.linalg.qr(whole[0].T, mode="complete")
-    return triangular[None, :N].swapaxes(1, 2).copy(), Q[:N, :N], Q[:N, N:]
+            s = float(np.sqrt(sigma**2 + u @ u))
+            nu, seen = -(row.value + float(row.h @ a)) / s, u / s
+            gain = S @ seen
+            a += gain * nu
+            S = S - np.outer(gain, seen / (1 + sigma / s))
+            log_density -= nu**2 / 2 + float(np.log(s)) + float(np.log(2 * np.pi)) / 2
+            updates.append(Update(nu, s, gain, seen, sigma / s))
+        traces.append(StepTrace(node, S, kept, lost, updates))
+    return Forward(log_density, traces)
 
 
 def backward(prior: Gaussian, way: Forward) -> Backward:
@@ -204,7 +191,7 @@ def backward(prior: Gaussian, way: Forward) -> Backward:
 
     Args:
         prior: at the first node, as for ``forward``.
-        way: by one model, with its traces.
+        way: from there.
     """
     K, N = len(way.traces), prior.mean.size
     mu, Z = np.zeros(N), np.eye(N)
@@ -213,9 +200,9 @@ def backward(prior: Gaussian, way: Forward) -> Backward:
     joint = np.zeros((K, 2 * N, width))
     for k in range(K - 1, -1, -1):
         trace = way.traces[k]
-        for seen, noise, innovation in reversed(trace.updates):
-            share = seen / (1 + noise)
-            mu = mu - share * (seen @ mu) + seen * innovation
+        for update in reversed(trace.updates):
+            seen, share = update.seen, update.seen / (1 + update.noise)
+            mu = mu - share * (seen @ mu) + seen * update.innovation
             Z = Z - np.outer(share, seen @ Z)
         means[k + 1] = trace.node.mean + trace.node.root @ mu
         roots[k + 1] = trace.node.root @ Z

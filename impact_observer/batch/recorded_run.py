@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the sender in a recording: its events, and accounts of their meaning."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_observer.batch.filter_account import EventAccount
+from impact_observer.batch.filter_account import TracedLaw, filter_moments
 from impact_observer.batch.moments import Moment, Moments, MomentSwitching
 from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.events import MISLABELLED, ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.observer import Options, make_observer
 from impact_observer.observer.episode import changes
 from impact_observer.observer.event_order import EventKey, keys_of
 from impact_observer.stamps import Elapsed
@@ -53,9 +55,36 @@ class RecordedRun:
         """The moments if all events are as they were reported."""
         return self._moments([(c, True) for c in changes(self.keys, self.epoch)])
 
-    def by_filter(self, account: EventAccount) -> Moments:
-        """The moments as a filter has understood the events."""
-        return self._moments([(each.change, not each.is_inserted) for each in account.moments])
+    def by_filter(
+        self,
+        family: ParametricFamily,
+        theta: Vector,
+        deviation: Vector,
+        options: Options,
+        show: Callable[[str], None],
+    ) -> Moments:
+        """The moments as a filter understands the events.
+
+        Args:
+            family: the system and its parameters.
+            theta: their values, shape (p,).
+            deviation: standard deviations of these, shape (p,).
+            options: of the observer.
+            show: receives what is being done.
+
+        Raises:
+            ImpactLawError, UsageError: as ``Observer.receive``.
+        """
+        near, variances = _filter_family(family, theta, deviation**2)
+        unknowns = UnknownParameters(near, np.diag(variances)) if near.size else None
+        chosen = replace(options, law=TracedLaw.name, ensemble=1, epoch=self.epoch)
+        observer = make_observer(near.system, chosen, law=TracedLaw, unknowns=unknowns)
+
+        def done(count: int) -> None:
+            show(f"missing or false impacts: {count} of {len(self.keys)}")
+
+        found = filter_moments(observer, self.events, done)
+        return self._moments([(each.change, each.is_measured) for each in found])
 
     def verdicts(self, moments: Moments) -> Iterator[Verdict]:
         """The verdicts on all events by an account, in the order of stamps."""
@@ -100,12 +129,14 @@ class RecordedRun:
         return Moments(Elapsed(self.start - self.epoch), found)
 
 
-def filter_family(family: ParametricFamily, theta: Vector) -> ParametricFamily:
-    """The family about other values, in the order that a filter needs: what moves comes first."""
-    parameters = [
-        replace(each, value=value)
-        for each, value in zip(family.parameters, theta.tolist(), strict=True)
-        if is_observed(each.name)
-    ]
-    own = family.near(theta) if family.size else family.system
-    return ParametricFamily(own, tuple(sorted(parameters, key=lambda each: not each.moves)))
+def _filter_family(
+    family: ParametricFamily, theta: Vector, variances: Vector
+) -> tuple[ParametricFamily, Vector]:
+    """Return the family about other values, and variances: what moves comes first in a filter."""
+    own = sorted(
+        (j for j, each in enumerate(family.parameters) if is_observed(each.name)),
+        key=lambda j: not family.parameters[j].moves,
+    )
+    parameters = tuple(replace(family.parameters[j], value=float(theta[j])) for j in own)
+    system = family.near(theta) if family.size else family.system
+    return ParametricFamily(system, parameters), variances[own]

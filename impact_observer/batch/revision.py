@@ -57,7 +57,7 @@ def _missed(fit: MotionFit) -> Iterator[Moment]:
     """Yield impacts where the motion passes through a stop, at most one in a flight."""
     moments, tangent, n = fit.problem.moments, fit.tangent, fit.tangent.n
     gaps, W = tangent.gaps(tuple(range(tangent.system.m))), tangent.system.W
-    clock, (before, after) = 4 * float(fit.sizes.clock[0]), fit.states
+    clock, (before, after) = 4 * fit.sizes.clock, fit.states
     spread = np.linalg.norm(np.einsum("im,kij->kmj", W, fit.back.nodes.root[0::2, :n]), axis=2)
     spread = np.maximum(spread[:-1], spread[1:])
     for k, (t, s) in enumerate(zip(moments.starts, moments.flights.tolist(), strict=True)):

@@ -34,7 +34,6 @@ class FlightSamples:
         contact: index of the contact whose gap is measured; -1 for none.
         values: less offset and the motion of grounds, shape (S,).
         t: when the samples hold, s since the epoch, S times.
-        stamps: the same, ns, shape (S,).
     """
 
     measurement: Measurement
@@ -114,9 +113,8 @@ class SampleRows:
         """Predicted minus measured at unknowns after the moments, (K + 1, N): shape (S,)."""
         return np.asarray(self.value + np.einsum("sn,sn->s", self.h, after[self.node]))
 
-    def inflation(self, after: Matrix) -> Vector:
-        """Factors of the deviations of samples that are far off, of unknowns (K + 1, N)."""
-        errors = self.errors(after)
+    def inflation(self, errors: Vector) -> Vector:
+        """Factors of the deviations of samples that are far off by ``errors``, shape (S,)."""
         return np.asarray(np.sqrt(np.maximum(np.abs(errors) / self.deviation / _HUBER, 1.0)))
 
     def compressed(self, inflation: Vector, nodes: int) -> list[list[MeasuredRow]]:

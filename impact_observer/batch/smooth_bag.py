@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impact_observer.batch.explanation import Explanation
 from impact_observer.batch.smoothed_run import SmoothedRun
 from impact_observer.batch.smoothing import Progress, no_progress, smoothed_runs
 from impact_observer.errors import BagError
@@ -73,6 +74,7 @@ def smooth_bag(
     *,
     measurements: Sequence[Measurement] = (),
     rate: float | None = None,
+    known: Explanation | None = None,
     progress: Progress = no_progress,
     tell: Callable[[str], object] = lambda _line: None,
 ) -> BagSmoothing:
@@ -85,6 +87,7 @@ def smooth_bag(
         output: the bag to make.
         measurements: measurements of sensors beside the impacts.
         rate: of the estimates, Hz; None for the stamps of the true states.
+        known: the motion of the last run of the sender, where it was found before.
         progress: see ``Progress``.
         tell: called with a note on time zero, where no epoch is known.
 
@@ -114,6 +117,7 @@ def smooth_bag(
             samples=samples.samples,
             progress=progress,
             connected=connected,
+            known=known,
         )
     except BagError as error:
         raise type(error)(f"{reader.path}: {error}") from None

@@ -127,7 +127,7 @@ class SmoothedRun:
         moved += to.Gamma(x[None])[0] @ root[d:]
         W, c = system.W[:, list(active)].T, len(active)
         gamma = W @ there[n:]
-        scatter = float(fit.sizes.scatter[0]) * np.abs(gamma)
+        scatter = fit.sizes.scatter * np.abs(gamma)
         least = self.uncertainty.least_deviations(there, fit.tangent.phases.scales.sizes(there))
         roots = np.zeros((2 * c + family.size, root.shape[1] + c + n))
         roots[:c, : root.shape[1]] = W @ moved[n:]

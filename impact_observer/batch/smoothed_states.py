@@ -51,7 +51,7 @@ def smoothed_states(fit: MotionFit, t: Sequence[Elapsed]) -> SmoothedStates:
     ends = np.array([float(each.t) for each in moments.each]) + own_instants(fit)
     ends = np.maximum.accumulate(ends) if ends.size else ends
     flight = np.searchsorted(ends, np.array([float(each) for each in t]), side="right")
-    size, model = fit.back.joint.shape[2], float(fit.sizes.model[0])
+    size, model = fit.back.joint.shape[2], fit.sizes.model
     x, root = np.empty((S, d)), np.zeros((S, d, size + d))
     for k in np.unique(flight).tolist():
         own = np.flatnonzero(flight == k)

@@ -10,16 +10,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from impact_observer.batch.explanation import Explanation, explanation
-from impact_observer.batch.filter_account import TracedLaw, account_of
-from impact_observer.batch.moments import Moments
+from impact_observer.batch.filter_account import TracedLaw
 from impact_observer.batch.motion_fit import BatchProblem
-from impact_observer.batch.recorded_run import RecordedRun, filter_family
+from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.sample_rows import flight_samples
 from impact_observer.batch.smoothed_run import SmoothedRun
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.uncertainty import Uncertainty
-from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
 from impact_observer.model.free_parameters import OFFSET, parameters_beside, parametric_family
 from impact_observer.model.measurement import Measurement
@@ -30,10 +28,10 @@ from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import MAX_STAMP
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix
 
 Progress: TypeAlias = Callable[[str, int, int], None]
-"""Called with the name of the job, the part done, and the total."""
+"""Called with the name of the job, the part done, and the total, 0 where unknown."""
 Connected: TypeAlias = Callable[[System, int], System]
 """The system with its live forces, by the stamp of ``t = 0``, ns."""
 _FITTED = 30.0
@@ -61,6 +59,7 @@ def smoothed_runs(
     samples: Sequence[SensorSample] = (),
     progress: Progress = no_progress,
     connected: Connected = _as_given,
+    known: Explanation | None = None,
 ) -> list[SmoothedRun]:
     """The smoothed motion in each run of the sender in a recording, in order.
 
@@ -72,6 +71,7 @@ def smoothed_runs(
         samples: of these sensors, in order of stamps.
         progress: see ``Progress``.
         connected: gives the system the recorded samples of live forces.
+        known: the motion of the last run, where it was found before.
 
     Raises:
         UsageError: an option cannot be used, or the model is a robot.
@@ -95,7 +95,18 @@ def smoothed_runs(
     for own, (begin, end) in zip(runs.values(), pairwise([*begins, MAX_STAMP + 1]), strict=True):
         first = begin if found else 0
         near = [each for each in samples if first <= each.stamp < end]
-        found.append(_smoothed(model, own, options, measurements, near, progress, connected))
+        found.append(
+            _smoothed(
+                model,
+                own,
+                options,
+                measurements,
+                near,
+                progress,
+                connected,
+                known if end > MAX_STAMP else None,
+            )
+        )
     if not any(each.fit.problem.moments.each for each in found):
         raise BagError("no impact was applied")
     return found
@@ -109,6 +120,7 @@ def _smoothed(  # noqa: PLR0917
     samples: Sequence[SensorSample],
     progress: Progress,
     connected: Connected,
+    known: Explanation | None,
 ) -> SmoothedRun:
     given = model.system if isinstance(model, Model) else model
     epoch = options.epoch or max(each.epoch for each in events)
@@ -117,12 +129,14 @@ def _smoothed(  # noqa: PLR0917
     system = replace(connected(given, epoch), live=None)
     chosen = replace(options, law=TracedLaw.name, ensemble=1, epoch=epoch)
     declared = make_observer(model, chosen, law=TracedLaw).law.uncertainty
-    is_fitted = isinstance(model, Model) and model.uncertainty is not None
-    is_fitted = is_fitted and model.uncertainty.is_fitted_to(each.stamp for each in events)  # type: ignore[union-attr]
-    family, root = _unknowns(model, system, declared, _FITTED if is_fitted else 1.0)
     run = RecordedRun.of(system, events, epoch)
     if not run.keys:
         raise BagError("it holds no impact of the model's contacts")
+    if known is not None:
+        return SmoothedRun(run, known, declared)
+    uncertain = model.uncertainty if isinstance(model, Model) else None
+    is_fitted = uncertain is not None and uncertain.is_fitted_to(key.stamp for key in run.keys)
+    family, root = _unknowns(model, system, declared, _FITTED if is_fitted else 1.0)
     last = max([*(key.stamp for key in run.keys), *(each.stamp for each in samples)])
     x = np.concatenate(initial_state(options.initial_state, system))
     at = np.array([run.start - run.epoch])
@@ -136,29 +150,13 @@ def _smoothed(  # noqa: PLR0917
         samples=flight_samples(system, measurements, samples, run.epoch, (run.start, last)),
     )
 
-    def by_filter(theta: Vector, share: float) -> Moments:
-        near = filter_family(family, theta)
-        deviations = np.minimum(np.sqrt(np.diag(root @ root.T)), share * family.sizes)
-        named = dict(zip(family.names, deviations.tolist(), strict=True))
-        spread = np.diag([named[each] ** 2 for each in near.names])
-        unknowns = UnknownParameters(near, spread) if near.size else None
-        observer = make_observer(near.system, chosen, law=TracedLaw, unknowns=unknowns)
-        law = observer.law
-        assert isinstance(law, TracedLaw), "as it was made"
-        count = len(run.keys)
-        return run.by_filter(
-            account_of(observer, law, events, (), lambda done: progress("events", done, count))
-        )
-
-    rounds = [0]
-
-    def show(_what: str) -> None:
-        rounds[0] += 1
-        progress("motion", min(rounds[0], 99), 100)
-
     with np.errstate(all="ignore"):
         found: Explanation = explanation(
-            problem, None if declared.trusts_events else by_filter, options=options, show=show
+            problem,
+            run,
+            options=options,
+            trusts_events=declared.trusts_events,
+            show=lambda what: progress(what, 0, 0),
         )
     return SmoothedRun(run, found, declared)
 

@@ -5,9 +5,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
-from impact_observer.batch.motion_fit import LARGEST_CLOCK, ROUNDED, MotionFit
+from impact_observer.batch.motion_fit import MotionFit
+from impact_observer.batch.noise_sizes import LARGEST_CLOCK, ROUNDED
+from impact_observer.batch.passes import NoiseSizes
 from impact_observer.states import Vector
 
 UNLIKELY = 1e-6
@@ -56,13 +58,13 @@ class FitVerdict:
 
 def verdict_on(fit: MotionFit) -> FitVerdict:
     """Judge a motion and the sizes of its noises."""
-    clock, scatter, model = (float(each[0]) for each in fit.sizes)
+    clock, scatter, model = fit.sizes
     declared, nu = fit.problem.clock, fit.innovations[0]
     size = 1.0
     if declared is not None and nu.size:
-        size = float(stats.chi2.sf(np.sum(nu**2), nu.size))
+        size = float(special.chdtrc(nu.size, np.sum(nu**2)))
     least = max(2 * ROUNDED, (declared or 0.0) / 2)
-    is_rounding = float(np.sqrt(np.mean(fit.residuals**2))) <= least if nu.size else True
+    is_rounding = float(np.linalg.norm(fit.predicted)) <= least * np.sqrt(nu.size)
     white = 1.0 if is_rounding else whiteness(nu)
     found = FitVerdict((), clock, declared, scatter, model, size, white)
     return FitVerdict(tuple(_reasons(fit, found)), clock, declared, scatter, model, size, white)
@@ -76,18 +78,20 @@ def whiteness(values: Vector) -> float:
         return 1.0
     lag = np.arange(1, lags + 1)
     rho = np.array([float(values[k:] @ values[:-k]) for k in lag]) / power
-    return float(stats.chi2.sf(K * (K + 2) * np.sum(rho**2 / (K - lag)), lags))
+    return float(special.chdtrc(lags, K * (K + 2) * np.sum(rho**2 / (K - lag))))
 
 
 def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
     """Yield what speaks against a model, a line each."""
     moments = fit.problem.moments
     flight = float(np.median(np.append(moments.flights[moments.flights > 0], np.inf)))
+    limits = NoiseSizes(found.clock, _LARGEST_SCATTER, LARGEST_MODEL_ERROR)
+    is_large = not fit.density.allows(limits, fit.sizes, found.declared)
     if not fit.is_settled:
         yield "the search for a motion has not settled"
-    if found.model > LARGEST_MODEL_ERROR:
+    if is_large and found.model > limits.model:
         yield f"flights miss by {found.model:.2g} of the accelerations"
-    if found.scatter > _LARGEST_SCATTER:
+    if is_large and found.scatter > limits.scatter:
         yield f"rebounds scatter by {found.scatter:.2g} of the speed of approach"
     if found.declared is None and found.clock > min(0.9 * LARGEST_CLOCK, _OF_FLIGHTS * flight):
         yield f"stamps differ by {found.clock:.2g} s, and no --clock-error is declared"
@@ -109,10 +113,9 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
 
 def _of_sensors(fit: MotionFit) -> Iterator[str]:
     """Yield the sensors whose errors are too large."""
-    every = fit.samples.errors(fit.back.nodes.mean[1::2])
     for index, sensor in enumerate(fit.problem.samples):
         own = fit.samples.sensor == index
-        errors = every[own] / sensor.deviation
-        if own.any() and stats.chi2.sf(float(np.sum(errors**2)), int(own.sum())) < UNLIKELY:
+        errors = fit.sample_errors[own] / sensor.deviation
+        if own.any() and special.chdtrc(own.sum(), np.sum(errors**2)) < UNLIKELY:
             ratio = float(np.sqrt(np.mean(errors**2)))
             yield f"errors of {sensor.measurement.name} are {ratio:.2g} times the declared ones"

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from impact_observer import __version__
 from impact_observer.batch import fit_report
+from impact_observer.batch.explanation import Explanation
 from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.smooth_bag import BagSmoothing, smooth_bag
 from impact_observer.errors import DynamicsError, IdentificationError
@@ -20,7 +21,6 @@ from impact_observer.io.reader import BagReader
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parameters_beside, parametric_family
 from impact_observer.model.model_file import FITS, ModelText, edited
-from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.observer import Options
 from impact_observer.stamps import seconds_between
@@ -28,8 +28,6 @@ from impact_observer.states import Matrix
 
 _PHASES = "forcing-phase", "ground-phase"
 """Kinds of parameters that are free where the epoch is unknown."""
-_VAGUE = 10.0
-"""Prior deviation of an unknown phase, in standard errors of the fit."""
 _STATES = 40
 """Smoothed states in the mean time between two impacts."""
 _MOST = 200_000
@@ -155,25 +153,32 @@ def fit_bag(
     with BagReader(task.bag) as reader:
         events = events_from(reader, task.epoch)
         events = [replace(each, epoch=each.epoch or task.epoch) for each in events]
-        identification, failure = _identified(task, events, task.clock_error, show)
-        is_rounding = identification is not None and identification.rms <= task.resolution / 2
-        if is_rounding and task.clock_error < 0:
-            # Of a periodic motion the rounding repeats itself, which says nothing of the model.
-            identification, failure = _identified(task, events, task.resolution, show)
+        identification, failure = _identified(task, events, show)
         if identification is None or failure:
             text = _unexplained(task.text, task.recording)
         else:
             text = fit_report.model_text(identification, task.text, task.recording, output)
         output.write_text(text, encoding="utf-8")
         model = parse_model(text, str(output))
-        model = _smoothed_model(task, model, identification)
-        options = _options(task, model, identification)
-        smoothing = smooth_bag(reader, model, options, smoothed, rate=_rate(events), progress=step)
+        smoothing = smooth_bag(
+            reader,
+            model,
+            _options(task, model),
+            smoothed,
+            rate=_rate(events),
+            known=None if identification is None else _motion(identification),
+            progress=step,
+        )
     return FittedRecording(model, text, identification, failure, smoothing)
 
 
+def _motion(found: Identification) -> Explanation:
+    """Return the motion to publish: with the one more number, if any, that makes a misfit fit."""
+    return next((each.found for each in found.causes if each.fits), found.found)
+
+
 def _identified(
-    task: FitTask, events: list[ImpactEvent], clock: float, show: Callable[[str], None]
+    task: FitTask, events: list[ImpactEvent], show: Callable[[str], None]
 ) -> tuple[Identification | None, str]:
     """Return the identification, if there is one, and why its values are of no use, if so."""
     model = task.model
@@ -186,7 +191,8 @@ def _identified(
         found = identify(
             together,
             events,
-            clock=None if clock < 0 else clock,
+            clock=None if task.clock_error < 0 else task.clock_error,
+            resolution=task.resolution,
             progress=lambda what: show(f"{family.system.name}: {what}"),
             mislabelled=task.mislabelled,
             prior=prior,
@@ -216,42 +222,12 @@ def _unexplained(text: ModelText, recording: Path) -> str:
     return edited(text.text, {("provenance",): provenance})
 
 
-def _smoothed_model(task: FitTask, model: Model, found: Identification | None) -> Model:
-    """Return the fitted model with the deviations that its numbers had before this recording.
-
-    The smoother uses the same impacts once more, so what these told is no prior. A phase that was
-    unknown gets a prior that tells little. Where one more number alone makes a misfit fit, this
-    number is uncertain by as much as it has to change.
-    """
-    if found is None or not found.fit.is_settled:
-        return model
-    known = task.model.uncertainty or ParameterUncertainty((), np.zeros((0, 0)))
-    _, changes = task.shifting_together(found.family)
-    most = [each.deviation_range[1] for each in found.family.parameters]
-    errors = np.minimum(_VAGUE * found.errors, most)
-    made_fit = next((each for each in found.causes if each.fits), None)
-    cause = () if made_fit is None else (made_fit.name,)
-    own = [k for k, name in enumerate(found.family.names) if name not in (*known.names, *cause)]
-    phases = (np.outer(errors, errors) * (changes @ changes.T))[np.ix_(own, own)]
-    blocks = [known.covariance, phases]
-    if made_fit is not None:
-        (given,) = parametric_family(model.system, cause, model.elements).parameters
-        change = abs(made_fit.value - given.value)
-        blocks.append(np.array([[min(change, given.deviation_range[1]) ** 2]]))
-    names = *known.names, *(found.family.names[k] for k in own), *cause
-    return replace(model, uncertainty=ParameterUncertainty(names, block_diag(*blocks)))
-
-
-def _options(task: FitTask, model: Model, found: Identification | None) -> Options:
+def _options(task: FitTask, model: Model) -> Options:
     """Return the options of the observer with which the recording is smoothed."""
-    clock = task.clock_error
-    if clock < 0 and found is not None and found.fit.is_settled:
-        clock = found.verdict.clock
-    deviation = suggested_deviation(model.system) or Options.initial_deviation
     return Options(
         law="minimum-variance",
-        initial_deviation=deviation,
-        clock_error=clock,
+        initial_deviation=suggested_deviation(model.system) or Options.initial_deviation,
+        clock_error=task.clock_error,
         mislabelled=task.mislabelled,
         epoch=task.epoch,
     )

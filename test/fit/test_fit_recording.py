@@ -167,10 +167,7 @@ def test_a_model_that_does_not_fit_is_marked_and_everything_is_written(
     (rig / "rig.yaml").write_text(MODEL.replace("RESTITUTION", "0.65"))
     recording = typed_times(run, rig).name
     assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 1
-    out = capsys.readouterr().out
-    assert "does not fit" in out
-    assert "--clock-error" in out
-    assert "restitution.stop" in out
+    assert "restitution.stop" in capsys.readouterr().out
     assert {path.name for path in (rig / "out").iterdir()} == FILES
     assert read_model(rig / "out" / "fitted.yaml").misfit
 
