@@ -160,8 +160,8 @@ def _compare_one(
     from impact_observer.io.bag_part import read_part
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
+    from impact_observer.model.multibody import multibody_of
     from impact_observer.observer import make_observer
-    from impact_observer.robots.robot import simulated
 
     with BagReader(bag) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
@@ -178,7 +178,7 @@ def _compare_one(
         observers = [make_observer(read, replace(each, ensemble=1)) for each in options]
         result = compare_bag(
             reader,
-            simulated(read),
+            multibody_of(read),
             observers,
             progress=lambda what, done, total: progress.step(f"{bag}: {what}", done, total),
         )

@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.bag_part import read_part, topic_of_impacts
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.robots.robot import simulated
+    from impact_observer.model.multibody import multibody_of
 
     if args.topics is not None and args.what == EVENTS:
         raise UsageError(f"topics: {', '.join(args.topics)} given; {EVENTS} have their own topic")
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
         elif args.what == IMPACTS:
             blocks = impact_rows(reader, args.topics, show)
         elif args.what == ERRORS:
-            system = simulated(model_of(reader, args.model))
+            system = multibody_of(model_of(reader, args.model))
             blocks = error_rows(reader, system, args.topics, show)
         else:
             blocks = state_rows(reader, args.topics, show)

@@ -28,14 +28,13 @@ def run(args: argparse.Namespace) -> int:
     from rich.live import Live
 
     from impact_observer.model import read_model
-    from impact_observer.robots.robot import simulated
+    from impact_observer.model.multibody import multibody_of
     from impact_observer.ros.session import require_ros
 
     require_ros()
     from impact_observer.ros.watcher import Listener, table, watch
 
-    system = None if args.model is None else simulated(read_model(args.model))
-    listener = Listener(system)
+    listener = Listener(None if args.model is None else multibody_of(read_model(args.model)))
     duration = math.inf if args.duration is None else args.duration
     with Live(console=Console(highlight=False), auto_refresh=False) as live:
 

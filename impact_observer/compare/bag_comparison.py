@@ -21,9 +21,8 @@ from impact_observer.io.pairing import Samples, sample_type, samples_of
 from impact_observer.io.reader import BagReader, states_of
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates, deviations_in
-from impact_observer.model import System
+from impact_observer.model.multibody import Multibody
 from impact_observer.observer import Observer
-from impact_observer.robots.robot import Robot
 from impact_observer.states import Stamps
 
 
@@ -40,7 +39,7 @@ class BagComparison:
         zero: time zero.
     """
 
-    system: System | Robot
+    system: Multibody
     comparisons: dict[str, Comparison]
     impacts: dict[str, Stamps]
     zero: TimeZero
@@ -48,7 +47,7 @@ class BagComparison:
 
 def compare_bag(
     reader: BagReader,
-    system: System | Robot,
+    system: Multibody,
     observers: Sequence[Observer] = (),
     *,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
@@ -74,9 +73,7 @@ def compare_bag(
     topics = {name: states_of(reader, name) for name in reader.observers()}
     if not topics and not observers:
         advice = "make them with observe"
-        advice += (
-            " --measurements FILE" if isinstance(system, Robot) else ", or name laws with --laws"
-        )
+        advice += " --measurements FILE" if system.has_encoders else ", or name laws with --laws"
         raise UnfitBagError(f"{reader.path}: has no estimates; {advice}")
     events = events_in(reader)
     zero = time_zero(reader)
@@ -134,7 +131,7 @@ def labelled_by_law(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, 
 
 def states_of_topics(
     reader: BagReader,
-    system: System | Robot,
+    system: Multibody,
     topics: Sequence[str],
     progress: Callable[[int, int], None],
 ) -> tuple[dict[str, str], dict[str, Samples]]:
@@ -142,7 +139,7 @@ def states_of_topics(
 
     Args:
         reader: the bag.
-        system: gives the order of the coordinates; states of a robot have deviations.
+        system: gives the order of the coordinates; those that rest on encoders have deviations.
         topics: topics of states.
         progress: receives the number of messages read, and of all.
 
@@ -157,7 +154,7 @@ def states_of_topics(
     total, done = sum(reader.topics[topic].count for topic in chosen), 0
     laws: dict[str, str] = {}
     blocks: dict[str, list[Samples]] = {topic: [] for topic in chosen}
-    has_deviations = isinstance(system, Robot)
+    has_deviations = system.has_encoders
     for topic, block in reader.blocks(chosen, system.coordinates, covariance=has_deviations):
         blocks[topic].append(_samples(block, has_deviations=has_deviations))
         if law := getattr(block, "law", ""):

@@ -28,8 +28,7 @@ from impact_observer.io.reader import (
 )
 from impact_observer.io.recordings import events_in, impact_topics, outcomes_in
 from impact_observer.io.state_arrays import ObserverStates, deviations_in
-from impact_observer.model import System
-from impact_observer.robots.robot import Robot
+from impact_observer.model.multibody import Multibody
 
 DEVIATIONS = ("deviation_q", "deviation_u")
 """Prefixes of the columns of standard deviations, of coordinates and of velocities."""
@@ -68,7 +67,7 @@ def state_rows(
 
 def error_rows(
     reader: BagReader,
-    system: System | Robot,
+    system: Multibody,
     topics: Collection[str] | None,
     progress: Progress,
 ) -> Iterator[TableBlock]:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.energy_of_errors import contact_speeds, energies, errors_of
 from impact_observer.compare.mismatch import Mismatch, windows
+from impact_observer.dynamics import Mechanism, mechanism_of
 from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io.pairing import (
@@ -27,13 +27,12 @@ from impact_observer.io.pairing import (
     samples_of,
     stamp_range,
 )
-from impact_observer.model import System
+from impact_observer.model.multibody import Multibody, errors_of
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import SETTLED
-from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Matrix, Stamps, Vector
 
@@ -69,7 +68,7 @@ class Comparison:
         settling_time: seconds from the first sample until V stays below ``SETTLED`` V0, or None.
     """
 
-    system: System | Robot
+    system: Multibody
     law: str
     stamps: Stamps
     error: NDArray[np.float64]
@@ -94,9 +93,9 @@ class Comparison:
     def starts_near(self) -> bool:
         """Whether V at the start is so small that ratios to it say nothing.
 
-        Of a robot, which may start at its encoders, it is small beside the largest V.
+        Of an observer that may start at encoders, it is small beside the largest V.
         """
-        small = SETTLED * np.max(self.V) if isinstance(self.system, Robot) else 0.0
+        small = SETTLED * np.max(self.V) if self.system.has_encoders else 0.0
         return bool(self.V[0] <= small)
 
     @property
@@ -174,7 +173,7 @@ def is_near_end(V: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def compare_states(
-    system: System | Robot,
+    system: Multibody,
     law: str,
     truth: Samples,
     estimates: Samples,
@@ -197,7 +196,8 @@ def compare_states(
         raise DynamicsError(f"{law}: the estimate has left all bounds")
     kept_truth, kept_estimates = fresh(truth), fresh(estimates)
     pairs = paired(kept_truth, kept_estimates)
-    between, mismatch = _mismatch(system, pairs, outcomes)
+    mechanism = mechanism_of(system)
+    between, mismatch = _mismatch(mechanism, pairs, outcomes)
     ranges = f"truth {stamp_range(truth)}, estimate {stamp_range(estimates)}"
     if not pairs.size:
         raise BagError(
@@ -207,7 +207,7 @@ def compare_states(
     punctual = arrived(pairs["stamp"], pairs["last_event"], outcomes.reported)
     between &= punctual
     error = errors_of(system, pairs["truth"], pairs["estimate"])
-    V = energies(system, pairs["truth"], error)
+    V = mechanism.distance(pairs["truth"], error)
     mismatch.samples = int(np.count_nonzero(between))
     mismatch.V = float(np.max(V[between], initial=0.0))
     kept = punctual & ~between
@@ -254,12 +254,12 @@ def settling_time(stamps: Stamps, V: NDArray[np.float64]) -> float | None:
 
 
 def _mismatch(
-    system: System | Robot, pairs: Pairs, outcomes: EventOutcomes
+    mechanism: Mechanism, pairs: Pairs, outcomes: EventOutcomes
 ) -> tuple[NDArray[np.bool_], Mismatch]:
     """Mask of the samples between the jumps of truth and estimate, and their windows."""
     between, mismatch, stamps = np.zeros(pairs.size, dtype=np.bool_), Mismatch(), pairs["stamp"]
-    speeds = [contact_speeds(system, pairs[key]) for key in ("truth", "estimate")]
-    for c, name in enumerate(system.contact_names):
+    speeds = [mechanism.gaps(pairs[key]).gamma for key in ("truth", "estimate")]
+    for c, name in enumerate(mechanism.system.contact_names):
         truth, estimate = (each[:, c] for each in speeds)
         for impact, others in impacts_with_neighbours(outcomes, name):
             first, end = map(int, windows(stamps, truth, estimate, impact, others))
@@ -286,7 +286,7 @@ def compare_observer(
     events: Sequence[ImpactEvent],
     truth: Samples,
     *,
-    system: System | Robot | None = None,
+    system: Multibody | None = None,
     needs_event: bool = True,
     samples: Sequence[SensorSample] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,

@@ -8,10 +8,8 @@ import numpy as np
 from impact_observer.compare.comparison import AFTER_HITS, Comparison
 from impact_observer.compare.metrics import DISTANCE, ERRORS, IMPACTS, METRICS
 from impact_observer.draw.reports import ReportLine, TextTable, listed, print_facts, print_table
-from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.options import SETTLED
 from impact_observer.plain_text import say
-from impact_observer.robots.robot import Robot
 
 _ROUNDING = 1e-26
 """Largest ratio of V to the largest V that is rounding: V is a square, states have 16 digits."""
@@ -51,18 +49,16 @@ def _start_remarks(labels: list[str]) -> Iterator[ReportLine]:
 
 
 def distance_remarks(labelled: Mapping[str, Comparison]) -> Iterator[ReportLine]:
-    """A remark on each system whose V does not depend on every error, and on the V of robots."""
+    """A remark on each system whose V is not its whole energy, and on the metrics of encoders."""
     systems = {comparison.system.name: comparison.system for comparison in labelled.values()}
     for name, system in systems.items():
-        if isinstance(system, Robot):
+        text = system.remark_on_distance
+        if system.has_encoders:
             begin, end = (1e3 * each for each in AFTER_HITS)
-            velocities = ", ".join(dict.fromkeys(system.speed_units))
-            text = f"{name} is a robot: V = 1/2 du' M du + 1/2 dq' M dq / s^2 at the true q"
+            velocities = ", ".join(dict.fromkeys(system.state_units[system.n :]))
             text += f"; after hits: {begin:g} to {end:g} ms later, velocities in {velocities}"
-            yield ReportLine("note", text)
-        elif is_seminorm(system):
-            text = f"{name} has a rigid-body mode: V does not see an error of its position"
-            yield ReportLine("note", text)
+        if text:
+            yield ReportLine("note", f"{name} {text}")
 
 
 def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> TextTable:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 from impact_observer.compare.comparison import COVERED, Comparison
 from impact_observer.events import Ruling
-from impact_observer.robots.robot import Robot
 from impact_observer.states import Vector
 
 DISTANCE = "Estimates of {names}; settled: V < {settled:g} V0; rates: fall of ln V"
@@ -32,7 +31,7 @@ class Metric(NamedTuple):
         heading: of its column.
         cell: makes the text of one number.
         optional: whether the column is left out if no comparison has a value.
-        of_robots: whether only robots have the metric.
+        of_encoders: whether only systems with encoders have the metric.
     """
 
     key: str
@@ -41,16 +40,16 @@ class Metric(NamedTuple):
     heading: str = ""
     cell: Callable[[Any], str] = "{}".format
     optional: bool = False
-    of_robots: bool = False
+    of_encoders: bool = False
 
     def is_shown(self, comparisons: Iterable[Comparison]) -> bool:
         """Whether the printed table of some ``comparisons`` has a column for the metric.
 
-        Of robots no column is empty: their V falls with no rate.
+        Of systems with encoders no column is empty: their V falls with no rate.
         """
         some = list(comparisons)
-        are_robots = all(isinstance(each.system, Robot) for each in some)
-        if not (self.optional or self.of_robots or are_robots):
+        have_encoders = all(each.system.has_encoders for each in some)
+        if not (self.optional or self.of_encoders or have_encoders):
             return True
         return any(self.value_of(each) is not None for each in some)
 
@@ -60,7 +59,7 @@ class Metric(NamedTuple):
 
     def applies_to(self, comparison: Comparison) -> bool:
         """Whether the compared system has the metric."""
-        return not self.of_robots or isinstance(comparison.system, Robot)
+        return not self.of_encoders or comparison.system.has_encoders
 
 
 def _rate(value: float | None, without: str = "") -> str:
@@ -153,7 +152,7 @@ METRICS = (
         ERRORS,
         "rms after hits",
         lambda rms: "" if rms is None else f"{rms:.3e}",
-        of_robots=True,
+        of_encoders=True,
     ),
     Metric(
         "coverage",
@@ -161,7 +160,7 @@ METRICS = (
         ERRORS,
         f"within {COVERED:g} deviations",
         lambda share: "" if share is None else f"{share:.1%}",
-        of_robots=True,
+        of_encoders=True,
     ),
     Metric(
         "velocity_after_hits",
@@ -169,7 +168,7 @@ METRICS = (
         IMPACTS,
         "after hits",
         lambda rms: "" if rms is None else f"{rms:.3g}",
-        of_robots=True,
+        of_encoders=True,
     ),
 )
 

@@ -7,6 +7,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.dynamics import lyapunov
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
 from impact_observer.dynamics.contact.persistent_contact import ended, persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT
@@ -130,6 +131,12 @@ class LinearMechanism:
         if x.ndim == 1:
             return np.asarray(u.dot(self.phases.inertia(u)) / 2)
         return np.asarray(np.einsum("...i,ij,...j->...", u, self.system.M, u) / 2)
+
+    def distance(self, x: Array, error: Array, /) -> Array:
+        """The mechanical energy of the differences, the same at all states."""
+        del x
+        n = self.system.n
+        return lyapunov.distance(self.system, error[..., :n], error[..., n:])
 
     def _watched(self, phase: Phase, closed: Contacts) -> Watch:
         """The guards of a phase: gaps of the contacts that are not ``closed``, and loads."""

@@ -9,12 +9,6 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 
-def is_seminorm(system: System) -> bool:
-    """Whether ``V`` is zero for some displacement: whether ``K`` is singular."""
-    eigenvalues = linalg.eigvalsh(system.K)
-    return bool(eigenvalues[0] <= 1e-12 * max(float(eigenvalues[-1]), 0.0))
-
-
 def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> Vector:
     """``V = 1/2 du^T M du + 1/2 dq^T K dq``, J, of differences ``q`` and ``u``, shape (..., n).
 

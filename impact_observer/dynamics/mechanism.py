@@ -10,10 +10,10 @@ and ``grip``, which decide what stays closed, ``stopped``. These are problems of
 in one state.
 
 *Many states*, of estimates: ``flown`` with transition matrix and derivatives by parameters,
-``noise``, ``rates``, ``gaps``, ``impact`` with its derivatives, ``kinetic``. Here the set of
-contacts that are pressed is given, and all is smooth in the state.
+``noise``, ``rates``, ``gaps``, ``impact`` with its derivatives, ``kinetic``, ``distance``. Here
+the set of contacts that are pressed is given, and all is smooth in the state.
 
-These are eleven methods; no two of them could be one, as the sides ask for different things.
+These are five and seven methods, as the two sides ask for different things.
 """
 
 from abc import abstractmethod
@@ -210,6 +210,9 @@ class Mechanism(Protocol):
 
     def kinetic(self, x: Array, /) -> Array:
         """Kinetic energies of states (..., 2n), shape (...), J."""
+
+    def distance(self, x: Array, error: Array, /) -> Array:
+        """V of differences (dq, du) to states ``x``, shape (..., 2n): shape (...), J."""
 
 
 @singledispatch

@@ -5,6 +5,7 @@ Linear systems (``System``) answer by themselves. What else a model file can des
 the room that ``MADE_BY`` names for it.
 """
 
+import math
 from importlib import import_module
 from typing import Protocol
 
@@ -73,6 +74,14 @@ class Multibody(Protocol):
         """What drives it."""
 
     @property
+    def has_encoders(self) -> bool:
+        """Whether an observer of it needs its measured positions."""
+
+    @property
+    def remark_on_distance(self) -> str:
+        """What a user should know of its V, without the name; empty for nothing."""
+
+    @property
     def plant_inputs(self) -> LiveNames | None:
         """Signals known only live, for which a plant waits; None without any."""
 
@@ -118,6 +127,17 @@ class Multibody(Protocol):
         Raises:
             UsageError: as ``checked_state``, or a stop is penetrated.
         """
+
+
+def errors_of(system: Multibody, truth: Matrix, estimate: Matrix) -> Matrix:
+    """Estimate minus truth (dq, du), of states (q, u), all of shape (samples, 2n).
+
+    Whole turns are no errors of a coordinate that is known modulo a turn.
+    """
+    error = np.asarray(estimate - truth)
+    turning = np.flatnonzero(system.turns)
+    error[:, turning] -= math.tau * np.round(error[:, turning] / math.tau)
+    return error
 
 
 def multibody_of(model: Model) -> Multibody:

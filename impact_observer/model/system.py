@@ -44,6 +44,8 @@ _SYMMETRY = 1e-9
 """Largest asymmetry accepted, relative to the largest entry, as from printed digits."""
 _SEMIDEFINITE = 1e-10
 """Most negative eigenvalue accepted as zero, relative to the largest."""
+_RIGID = 1e-12
+"""Stiffness that is none, relative to the largest."""
 _SINGULAR = 1e-14
 """Least eigenvalue of a mass matrix accepted, relative to the largest."""
 
@@ -199,6 +201,19 @@ class System:
     def gap_unit(self) -> str:
         """Unit of the gaps: that of the coordinates, where they are lengths or angles."""
         return unit_of("m", self.unit)
+
+    @property
+    def has_encoders(self) -> bool:
+        """Whether an observer of it needs its measured positions: no."""
+        return False
+
+    @property
+    def remark_on_distance(self) -> str:
+        """What a user should know of its V: whether it is zero for some displacement."""
+        eigenvalues = np.linalg.eigvalsh(self.K)
+        is_seminorm = eigenvalues[0] <= _RIGID * max(float(eigenvalues[-1]), 0.0)
+        text = "has a rigid-body mode: V does not see an error of its position"
+        return text if is_seminorm else ""
 
     @property
     def plant_inputs(self) -> LiveNames | None:

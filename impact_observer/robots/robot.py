@@ -164,6 +164,16 @@ class Robot:
         return "m"
 
     @property
+    def has_encoders(self) -> bool:
+        """Whether an observer of it needs its measured positions: yes."""
+        return True
+
+    @property
+    def remark_on_distance(self) -> str:
+        """What a user should know of its V: a robot has no stiffness that could weigh errors."""
+        return "is a robot: V = 1/2 du' M du + 1/2 dq' M dq / s^2 at the true q"
+
+    @property
     def plant_inputs(self) -> None:
         """Signals for which a plant waits: none, as it makes its torques."""
         return
@@ -807,15 +817,6 @@ def robot_of(model: Model) -> Robot:
     except ModelError as error:
         raise error.in_file(model.source) from None
     return robot
-
-
-def simulated(model: Model) -> System | Robot:
-    """The linear system or the robot of a ``model``, for a plant.
-
-    Raises:
-        UsageError, ModelError: as ``robot_of``.
-    """
-    return model.system if model.robot is None else robot_of(model)
 
 
 def observed(model: Model) -> Robot:

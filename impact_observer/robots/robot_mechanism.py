@@ -158,6 +158,14 @@ class RobotMechanism:
         found = [self.system.kinetic_energy(each[:n], each[n:]) for each in rows]
         return np.array(found).reshape(x.shape[:-1])
 
+    def distance(self, x: Array, error: Array, /) -> Array:
+        """``du' M(q) du / 2 + dq' M(q) dq / 2 s^2``: inertia weighs positions, too, over 1 s."""
+        n = self.system.n
+        M = np.array([self.system.mass(each[:n]) for each in x.reshape(-1, 2 * n)])
+        M, halves = M.reshape(-1, n, n), error.reshape(-1, 2, n)
+        found = np.einsum("kai,kij,kaj->k", halves, M, halves) / 2
+        return np.asarray(found.reshape(x.shape[:-1]))
+
     def _flights(self, t: Sequence[float], x: Array, s: Vector) -> Sequence[Start]:
         """State, start and duration of each flight."""
         times, lengths = np.broadcast_to(t, len(x)), np.broadcast_to(s, len(x))

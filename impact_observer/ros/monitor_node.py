@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from impact_observer.compare.energy_of_errors import energies, errors_of
+from impact_observer.dynamics import mechanism_of
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import (
@@ -19,7 +19,7 @@ from impact_observer.io.messages import (
     read_joint_state,
 )
 from impact_observer.model import read_model
-from impact_observer.robots.robot import simulated
+from impact_observer.model.multibody import errors_of, multibody_of
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode, Receiver
 
@@ -35,7 +35,8 @@ class MonitorNode(BaseNode):
 
     def configure(self) -> None:
         """Implement ``BaseNode``."""
-        self._system = simulated(read_model(self.values.text("model")))
+        self._system = multibody_of(read_model(self.values.text("model")))
+        self._mechanism = mechanism_of(self._system)
         self._truth: OrderedDict[int, JointState] = OrderedDict()
         self._waiting: OrderedDict[int, JointState] = OrderedDict()
         self._errors = self.publisher(interfaces.MONITOR_ERROR)
@@ -74,7 +75,7 @@ class MonitorNode(BaseNode):
         """Publish the error of an estimate."""
         x, estimated = (np.concatenate([each.q, each.u])[None] for each in (truth, estimate))
         errors = errors_of(self._system, x, estimated)
-        (v,) = energies(self._system, x, errors).tolist()
+        (v,) = self._mechanism.distance(x, errors).tolist()
         q, u = np.split(errors[0], 2)
         error = EstimateError(truth.stamp, self._law, v, truth.names, q, u)
         self.publish(self._errors, self.make.estimate_error, error)

@@ -13,8 +13,8 @@ from rclpy.subscription import Subscription
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from impact_observer.compare.energy_of_errors import energies, errors_of
 from impact_observer.draw.reports import literal_text
+from impact_observer.dynamics import Mechanism, mechanism_of
 from impact_observer.errors import ImpactObserverError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import interface
@@ -26,9 +26,9 @@ from impact_observer.io.messages import (
     read_joint_state,
     read_verdict,
 )
-from impact_observer.model import System, parse_model
+from impact_observer.model import parse_model
+from impact_observer.model.multibody import Multibody, errors_of, multibody_of
 from impact_observer.process_end import Stop
-from impact_observer.robots.robot import Robot, simulated
 from impact_observer.ros.session import ros_node
 from impact_observer.ros.topics import common_offer, message_class, qos_profile, waiting_messages
 from impact_observer.stamps import seconds_between
@@ -54,13 +54,14 @@ _PERIOD = 0.25
 class Listener:
     """Keeps the last messages of plants and observers; those of one namespace belong together."""
 
-    def __init__(self, system: System | Robot | None = None) -> None:
+    def __init__(self, system: Multibody | None = None) -> None:
         """Listen to all plants and observers.
 
         Args:
             system: gives V; None for the model that the plant publishes.
         """
-        self._system, self._systems = system, dict[str, System | Robot]()
+        self._given = None if system is None else mechanism_of(system)
+        self._mechanisms = dict[str, Mechanism]()
         self._truths = defaultdict[str, dict[int, JointState]](dict)
         self._estimates = defaultdict[str, dict[int, tuple[tuple[str, ...], Estimate]]](dict)
         self._verdicts = defaultdict[str, deque[View]](lambda: deque(maxlen=_SHOWN))
@@ -91,7 +92,8 @@ class Listener:
                 state = read_joint_state(message)
                 _keep(self._truths[namespace], state.stamp, state)
             elif kind == interfaces.PLANT_MODEL:
-                self._systems[namespace] = simulated(parse_model(message.data, topic))
+                system = multibody_of(parse_model(message.data, topic))
+                self._mechanisms[namespace] = mechanism_of(system)
             else:
                 self._epochs[owner] = read_event(message).epoch
                 self._impacts += 1
@@ -114,12 +116,12 @@ class Listener:
         if stamp in truths and sorted(truths[stamp].names) == sorted(names):
             state = truths[stamp].ordered(names)
             truth = np.concatenate([state.q, state.u])
-        system = self._system or self._systems.get(namespace)
-        if system is not None and system.coordinates != names:
-            system = None
-        if system is not None and truth is not None:
-            error = errors_of(system, truth[None], x[None])
-            v = float(energies(system, truth[None], error)[0])
+        mechanism = self._given or self._mechanisms.get(namespace)
+        if mechanism is not None and mechanism.system.coordinates != names:
+            mechanism = None
+        if mechanism is not None and truth is not None:
+            error = errors_of(mechanism.system, truth[None], x[None])
+            v = float(mechanism.distance(truth[None], error)[0])
         variances = np.diag(estimate.covariance).clip(0.0) if estimate.covariance.size else None
         return {
             "name": name,
@@ -128,7 +130,7 @@ class Listener:
             "synchronized": estimate.synchronized,
             "v": v,
             "states": [*names, *(f"d{each}/dt" for each in names)],
-            "units": [""] * x.size if system is None else [*system.state_units],
+            "units": [""] * x.size if mechanism is None else [*mechanism.system.state_units],
             "estimate": x.tolist(),
             "deviation": None if variances is None else np.sqrt(variances).tolist(),
             "truth": None if truth is None else truth.tolist(),

@@ -19,9 +19,9 @@ from systems import EPOCH
 
 from impact_observer.io import interfaces
 from impact_observer.model import read_model
+from impact_observer.model.multibody import multibody_of
 from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
-from impact_observer.robots.robot import simulated
 from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -71,7 +71,7 @@ def test_a_robot_is_simulated_live_as_offline(
         spinner.until(lambda: process.poll() is not None)
         spinner.settle()
     assert process.returncode == 0
-    robot = simulated(sample)
+    robot = multibody_of(sample)
     stamps = grid(EPOCH, EPOCH + round(2.5 * NS_PER_S), 100)
     run = simulate(Plant(robot, *sample.initial_state(), epoch=EPOCH), stamps)
     found = [each.header.stamp.sec * NS_PER_S + each.header.stamp.nanosec for each in events]
