@@ -74,11 +74,13 @@ class Estimates:
         first: the first estimate.
         stamps: when each holds, ns, ascending, shape (k,), at least one.
         x: states (q, u), shape (k, 2n).
+        replicas: states of all replicas where they were asked for, shape (N, k, 2n).
     """
 
     first: Estimate
     stamps: Stamps
     x: Matrix
+    replicas: NDArray[np.float64] | None = None
 
     def __iter__(self) -> Iterator[Estimate]:
         """Each estimate."""

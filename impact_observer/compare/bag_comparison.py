@@ -10,7 +10,7 @@ import numpy as np
 
 from impact_observer.compare.comparison import (
     Comparison,
-    compare_observer,
+    compare_replicas,
     compare_states,
     impacts_in,
 )
@@ -94,12 +94,8 @@ def compare_bag(
         }
         for observer in observers:
             law = observer.law.name
-            comparisons[law] = compare_observer(
-                observer,
-                events,
-                true_states,
-                progress=partial(progress, law),
-            )
+            replay = partial(progress, law)
+            comparisons[law] = compare_replicas(observer, events, true_states, progress=replay)[0]
     except BagError as error:
         if str(error).startswith(str(reader.path)):
             raise

@@ -9,7 +9,8 @@ event arrived is *late*; a sample between the jumps of truth and estimate is a *
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,10 @@ from impact_observer.dynamics import Mechanism, mechanism_of
 from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io.pairing import (
-    Pairs,
     Samples,
     arrived,
     fresh,
     paired,
-    samples_of,
     stamp_range,
 )
 from impact_observer.model.multibody import Multibody, errors_of
@@ -57,15 +56,10 @@ class Comparison:
         V: Lyapunov distance, J, shape (samples,).
         deviations: standard deviations of the estimate, shape (samples, 2n), NaN without a
             covariance; shape (samples, 0) of linear systems.
-        samples: number of samples that count.
         late: estimates left out because their event had not arrived.
         stale: states left out because they came long after later ones.
         mismatch: samples between the jumps of truth and estimate.
         outcomes: which events the observer applied, rejected and inserted.
-        rms: root mean square error of each state, shape (2n,).
-        largest: largest absolute error of each state, shape (2n,).
-        largest_rise: largest rise of V from one sample to the next, over V at the start.
-        settling_time: seconds from the first sample until V stays below ``SETTLED`` V0, or None.
     """
 
     system: Multibody
@@ -74,15 +68,35 @@ class Comparison:
     error: NDArray[np.float64]
     V: Vector
     deviations: Matrix
-    samples: int
     late: int
     stale: int
     mismatch: Mismatch
     outcomes: EventOutcomes
-    rms: Vector
-    largest: Vector
-    largest_rise: float
-    settling_time: float | None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples that count."""
+        return self.stamps.size
+
+    @property
+    def rms(self) -> Vector:
+        """Root mean square error of each state, shape (2n,)."""
+        return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
+
+    @property
+    def largest(self) -> Vector:
+        """Largest absolute error of each state, shape (2n,)."""
+        return np.asarray(np.max(np.abs(self.error), axis=0))
+
+    @property
+    def largest_rise(self) -> float:
+        """Largest rise of V from one sample to the next, over V at the start."""
+        return largest_rise(self.V)
+
+    @property
+    def settling_time(self) -> float | None:
+        """Seconds from the first sample until V stays below ``SETTLED`` V0; None for never."""
+        return settling_time(self.stamps, self.V)
 
     @property
     def ratio(self) -> float | None:
@@ -192,45 +206,80 @@ def compare_states(
         BagError: no stamp is in both, or every estimate came before its events.
         DynamicsError: an estimate is not finite.
     """
-    if not np.isfinite(estimates["x"]).all():
-        raise DynamicsError(f"{law}: the estimate has left all bounds")
     kept_truth, kept_estimates = fresh(truth), fresh(estimates)
     pairs = paired(kept_truth, kept_estimates)
-    mechanism = mechanism_of(system)
-    between, mismatch = _mismatch(mechanism, pairs, outcomes)
-    ranges = f"truth {stamp_range(truth)}, estimate {stamp_range(estimates)}"
     if not pairs.size:
+        ranges = f"truth {stamp_range(truth)}, estimate {stamp_range(estimates)}"
         raise BagError(
             f"{law}: truth and estimate have no stamp in common: {ranges};"
             " both must be sampled at the same instants"
         )
+    many = Many(mechanism_of(system), law, pairs["stamp"], pairs["truth"], pairs["estimate"][None])
     punctual = arrived(pairs["stamp"], pairs["last_event"], outcomes.reported)
-    between &= punctual
-    error = errors_of(system, pairs["truth"], pairs["estimate"])
-    V = mechanism.distance(pairs["truth"], error)
-    mismatch.samples = int(np.count_nonzero(between))
-    mismatch.V = float(np.max(V[between], initial=0.0))
-    kept = punctual & ~between
-    if not kept.any():
-        raise BagError(f"{law}: every estimate came before its events; nothing to compare")
-    stamps, error, V = pairs["stamp"][kept], error[kept], V[kept]
-    return Comparison(
-        system=system,
-        law=law,
-        stamps=stamps,
-        error=error,
-        V=V,
-        deviations=pairs["deviation"][kept],
-        samples=stamps.size,
-        late=int(np.count_nonzero(~punctual)),
-        stale=truth.size - kept_truth.size + estimates.size - kept_estimates.size,
-        mismatch=mismatch,
-        outcomes=outcomes,
-        rms=np.sqrt(np.mean(error**2, axis=0)),
-        largest=np.max(np.abs(error), axis=0),
-        largest_rise=largest_rise(V),
-        settling_time=settling_time(stamps, V),
-    )
+    (found,) = _compared(many, outcomes, punctual)
+    stale = truth.size - kept_truth.size + estimates.size - kept_estimates.size
+    kept = np.isin(pairs["stamp"], found.stamps)
+    return replace(found, stale=stale, deviations=pairs["deviation"][kept])
+
+
+class Many(NamedTuple):
+    """Several estimates by one law at the stamps of a truth.
+
+    Attributes:
+        mechanism: gives V.
+        law: name of the law.
+        stamps: ns, ascending, shape (samples,).
+        truth: true states, shape (samples, 2n).
+        estimates: shape (N, samples, 2n).
+    """
+
+    mechanism: Mechanism
+    law: str
+    stamps: Stamps
+    truth: Matrix
+    estimates: NDArray[np.float64]
+
+
+def _compared(
+    many: Many, outcomes: EventOutcomes, punctual: NDArray[np.bool_]
+) -> list[Comparison]:
+    """The comparison of each of ``many`` estimates; ``punctual`` samples contain all events.
+
+    Raises:
+        BagError: every estimate came before its events.
+        DynamicsError: an estimate is not finite.
+    """
+    if not np.isfinite(many.estimates).all():
+        raise DynamicsError(f"{many.law}: the estimate has left all bounds")
+    system = many.mechanism.system
+    error = errors_of(system, many.truth, many.estimates)
+    V = many.mechanism.distance(np.broadcast_to(many.truth, error.shape), error)
+    found = []
+    late = int(np.count_nonzero(~punctual))
+    for k, (between, mismatch) in enumerate(_mismatches(many, outcomes)):
+        kept = punctual if between is None else punctual & ~between
+        if between is not None:
+            mismatch.samples = int(np.count_nonzero(between & punctual))
+            mismatch.V = float(np.max(V[k, between & punctual], initial=0.0))
+        if not kept.any():
+            raise BagError(
+                f"{many.law}: every estimate came before its events; nothing to compare"
+            )
+        own = V[k][kept]
+        comparison = Comparison(
+            system=system,
+            law=many.law,
+            stamps=many.stamps[kept],
+            error=error[k][kept],
+            V=own,
+            deviations=np.zeros((own.size, 0)),
+            late=late,
+            stale=0,
+            mismatch=mismatch,
+            outcomes=outcomes,
+        )
+        found.append(comparison)
+    return found
 
 
 def largest_rise(V: NDArray[np.float64]) -> float:
@@ -253,22 +302,28 @@ def settling_time(stamps: Stamps, V: NDArray[np.float64]) -> float | None:
     return seconds_between(int(stamps[0]), int(stamps[since]))
 
 
-def _mismatch(
-    mechanism: Mechanism, pairs: Pairs, outcomes: EventOutcomes
-) -> tuple[NDArray[np.bool_], Mismatch]:
-    """Mask of the samples between the jumps of truth and estimate, and their windows."""
-    between, mismatch, stamps = np.zeros(pairs.size, dtype=np.bool_), Mismatch(), pairs["stamp"]
-    speeds = [mechanism.gaps(pairs[key]).gamma for key in ("truth", "estimate")]
-    for c, name in enumerate(mechanism.system.contact_names):
-        truth, estimate = (each[:, c] for each in speeds)
+def _mismatches(
+    many: Many, outcomes: EventOutcomes
+) -> list[tuple[NDArray[np.bool_] | None, Mismatch]]:
+    """Of each estimate, the samples between its jumps and those of the truth, None for no sample.
+
+    A mask of shape (samples,) each, and the windows of these samples.
+    """
+    found = [(None, Mismatch()) for _ in many.estimates]
+    masks: dict[int, NDArray[np.bool_]] = {}
+    truth, estimates = (many.mechanism.gaps(each).gamma for each in (many.truth, many.estimates))
+    for c, name in enumerate(many.mechanism.system.contact_names):
         for impact, others in impacts_with_neighbours(outcomes, name):
-            first, end = map(int, windows(stamps, truth, estimate, impact, others))
-            low, high = np.searchsorted(stamps, [first, end])
-            between[low:high] = True
-            if first < end:
+            first, end = windows(many.stamps, truth[:, c], estimates[..., c], impact, others)
+            for k in np.flatnonzero(first < end).tolist():
+                low, high = np.searchsorted(many.stamps, [first[k], end[k]])
+                mask = masks.setdefault(k, np.zeros(many.stamps.size, dtype=np.bool_))
+                mask[low:high] = True
+                mismatch = found[k][1]
                 mismatch.windows += 1
-                mismatch.longest = max(mismatch.longest, seconds_between(first, end))
-    return between, mismatch
+                longest = seconds_between(int(first[k]), int(end[k]))
+                mismatch.longest = max(mismatch.longest, longest)
+    return [(masks.get(k), mismatch) for k, (_, mismatch) in enumerate(found)]
 
 
 def impacts_with_neighbours(
@@ -281,7 +336,7 @@ def impacts_with_neighbours(
         yield impact, [*stamps[max(before - 1, 0) : before], *stamps[after : after + 1]]
 
 
-def compare_observer(
+def compare_replicas(
     observer: Observer,
     events: Sequence[ImpactEvent],
     truth: Samples,
@@ -290,8 +345,10 @@ def compare_observer(
     needs_event: bool = True,
     samples: Sequence[SensorSample] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> Comparison:
-    """Run an observer over events and compare its estimates with the truth.
+) -> list[Comparison]:
+    """Run an observer over events and compare the estimate of each replica with the truth.
+
+    Replicas beside the first are those of a law that moves each by itself.
 
     Args:
         observer: an observer that has received nothing yet.
@@ -307,16 +364,20 @@ def compare_observer(
         DynamicsError: an estimate is not finite.
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
-    stamps, law = np.unique(truth["stamp"]), observer.law.name
+    law = observer.law.name
+    stamps, last = np.unique(truth["stamp"][::-1], return_index=True)
+    states = truth["x"][truth.size - 1 - last]
     verdicts: list[Verdict] = []
-    estimates: list[Samples] = []
-    made = 0
-    for item in replay_batches(observer, events, stamps, only_states=True, samples=samples):
+    estimates = list[NDArray[np.float64]]()
+    latest, when, made = list[Stamps](), list[Stamps](), 0
+    for item in replay_batches(observer, events, stamps, replicas=True, samples=samples):
         if isinstance(item, Verdict):
             verdicts.append(item)
             continue
-        last_event = np.full(item.stamps.size, item.first.last_event)
-        estimates.append(samples_of(item.stamps, item.x, last_event))
+        assert item.replicas is not None, "they were asked for"
+        latest.append(np.full(item.stamps.size, item.first.last_event))
+        when.append(item.stamps)
+        estimates.append(item.replicas)
         made += item.stamps.size
         progress(made, stamps.size)
     # A law may revise its verdict on an event later, so outcomes need all verdicts.
@@ -328,13 +389,16 @@ def compare_observer(
             f"{law}: no impact was received, so there is no estimate to compare; expected"
             " impacts, or a bag of observe with the --epoch at which the initial state holds"
         )
-    return compare_states(
-        system or observer.system,
+    at = np.concatenate(when)
+    many = Many(
+        mechanism_of(system or observer.system),
         law,
-        truth,
-        np.concatenate(estimates),
-        outcomes,
+        at,
+        states[np.searchsorted(stamps, at)],
+        np.concatenate(estimates, axis=1),
     )
+    punctual = arrived(at, np.concatenate(latest), outcomes.reported)
+    return _compared(many, outcomes, punctual)
 
 
 def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from impact_observer.compare.bag_comparison import BagComparison
-from impact_observer.compare.comparison import compare_observer, impacts_in
+from impact_observer.compare.comparison import compare_replicas, impacts_in
 from impact_observer.io.bag_part import TimeZero
 from impact_observer.io.pairing import samples_of
 from impact_observer.model import Model
@@ -55,12 +55,12 @@ def compare_simulated(
     )
     truth = samples_of(run.stamps, run.states)
     comparisons = {
-        observer.law.name: compare_observer(
+        observer.law.name: compare_replicas(
             observer,
             run.events,
             truth,
             progress=partial(progress, observer.law.name),
-        )
+        )[0]
         for observer in observers
     }
     return BagComparison(model.system, comparisons, impacts_in(run.events), TimeZero(EPOCH))

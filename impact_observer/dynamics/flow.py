@@ -302,12 +302,16 @@ class Flow:
         Returns:
             ``e^{As}`` of (q, u), shape (2n, 2n).
         """
+        return np.asarray(self.transitions(np.array([s]))[0])
+
+    def transitions(self, s: Vector) -> NDArray[np.float64]:
+        """``transition`` by many times of any sign, shape (K,), s: shape (K, 2n, 2n)."""
         n = self.n
-        moved = self.exponential.matrix(s)[: 2 * n, : 2 * n]
+        moved = self.exponential.matrices(s)[:, : 2 * n, : 2 * n]
         if self._held is not None:
-            moved[:, n:] -= (moved[:, n:] @ self._lift) @ self._held.T
+            moved[..., n:] -= (moved[..., n:] @ self._lift) @ self._held.T
         if self._Q is not None:
-            moved[:n] = self._Q @ moved[:n]
+            moved[:, :n] = self._Q @ moved[:, :n]
         return moved
 
     def restore(self, z: Vector, gaps: Vector | None) -> None:

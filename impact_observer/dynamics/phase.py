@@ -21,6 +21,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
@@ -107,6 +108,10 @@ class Phase:
     def transition(self, s: float) -> Matrix:
         """Propagation of the difference of two states (q, u) by ``s`` seconds, shape (2n, 2n)."""
         return self.flow.transition(s)
+
+    def transitions(self, s: Vector) -> NDArray[np.float64]:
+        """``transition`` by many times, shape (K,), s: shape (K, 2n, 2n)."""
+        return self.flow.transitions(s)
 
     def moved(self, t: float, x: Vector, s: float) -> tuple[Vector, Matrix]:
         """State (q, u) and ``transition`` ``s`` seconds after or, where negative, before ``x``.

@@ -130,13 +130,13 @@ class Multibody(Protocol):
 
 
 def errors_of(system: Multibody, truth: Matrix, estimate: Matrix) -> Matrix:
-    """Estimate minus truth (dq, du), of states (q, u), all of shape (samples, 2n).
+    """Estimate minus truth (dq, du), of states (q, u), shape (samples, 2n) or (.., samples, 2n).
 
     Whole turns are no errors of a coordinate that is known modulo a turn.
     """
     error = np.asarray(estimate - truth)
     turning = np.flatnonzero(system.turns)
-    error[:, turning] -= math.tau * np.round(error[:, turning] / math.tau)
+    error[..., turning] -= math.tau * np.round(error[..., turning] / math.tau)
     return error
 
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.bank.bank import Bank
 from impact_observer.events import Contacts
@@ -209,6 +210,13 @@ class Prediction(ABC):
     def states(self, s: Vector) -> Matrix:
         """``state`` at each of ``s`` seconds, equal in every bit, shape (samples, 2n)."""
         return np.array([self.state(at) for at in s.tolist()])
+
+    def replicas(self, s: Vector) -> NDArray[np.float64]:
+        """States of the replicas that move by themselves, after ``s`` seconds each.
+
+        Shape (N, samples, 2n), the estimate first, which is the only one by default.
+        """
+        return self.states(s)[None]
 
     @abstractmethod
     def belief(self, s: float) -> Belief:

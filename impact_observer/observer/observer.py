@@ -152,6 +152,7 @@ class Observer:
         self._initial = np.concatenate([q, u])
         self._root = law.uncertainty.root(system.n)
         self.ensemble = ensemble
+        self._starts: Matrix | None = None
         self._test = SynchronizationTest(system)
         self._history = from_seconds(history)
         self._scales = law.moving.scales
@@ -562,17 +563,18 @@ class Observer:
         self._follow()
         return self._run.obstacle(whole_stamp(stamp))
 
-    def estimates(self, stamps: Stamps, *, only_states: bool = False) -> Iterator[Estimates]:
+    def estimates(self, stamps: Stamps, *, replicas: bool = False) -> Iterator[Estimates]:
         """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
 
-        The states equal those of ``estimate`` in every bit. With ``only_states`` all other values,
-        such as a covariance, are those of the first of many stamps.
+        The states equal those of ``estimate`` in every bit. With ``replicas`` the states of all
+        replicas that move by themselves are given, too, and all other values, such as a
+        covariance, are those of the first of many stamps.
 
         Raises:
             UsageError: as ``estimate``.
         """
         self._follow()
-        return self._run.estimates(whole_stamps(stamps), only_states=only_states)
+        return self._run.estimates(whole_stamps(stamps), replicas=replicas)
 
     def set_state(
         self,
@@ -595,7 +597,7 @@ class Observer:
         root = self._root if covariance is None else covariance_root(covariance, self.system.n)
         self._follow()
         if (timeline := self._run.timeline) is None:
-            self._initial, self._root = x, root
+            self._initial, self._root, self._starts = x, root, None
             self.encoders = self._run.encoders = None
         else:
             stamp = max(whole_stamp(stamp), timeline.start.stamp)
@@ -603,6 +605,14 @@ class Observer:
             replicas = spread(x, root, self.ensemble)
             first = self._entry_of(replicas, root, stamp, now.closed, now.latest)
             self._run.restart(first)
+
+    def start_from(self, replicas: Matrix) -> None:
+        """Run ``replicas`` (q, u), shape (N, 2n), the estimate first, instead of the ensemble.
+
+        All that was received is forgotten.
+        """
+        self._initial, self.ensemble, self._starts = replicas[0], len(replicas), replicas
+        self.restart()
 
     @property
     def start(self) -> int | None:
@@ -632,7 +642,10 @@ class Observer:
     def _first_entry(self, stamp: int) -> Entry:
         encoders = self._run.encoders
         initial = self._initial if encoders is None else encoders.state
-        return self._entry_of(spread(initial, self._root, self.ensemble), self._root, stamp)
+        replicas = self._starts
+        if replicas is None:
+            replicas = spread(initial, self._root, self.ensemble)
+        return self._entry_of(replicas, self._root, stamp)
 
     def _entry_of(
         self,

@@ -51,14 +51,14 @@ def replay_batches(
     events: Sequence[ImpactEvent],
     stamps: Stamps,
     *,
-    only_states: bool = False,
+    replicas: bool = False,
     rejects: bool = False,
     by_stamps: bool = False,
     samples: Sequence[SensorSample] = (),
 ) -> Iterator[Estimates | Verdict]:
     """``replay`` with the estimates between two events in batches.
 
-    See ``Observer.estimates`` for ``only_states``. An event to which the law has no solution is an
+    See ``Observer.estimates`` for ``replicas``. An event to which the law has no solution is an
     error; with ``rejects`` the event is rejected, as by a node, and the error is raised only if no
     event was applied. With ``by_stamps`` no event is late: the replay is faster where stamps
     disagree with numbers, with the same final estimates, but verdicts may report numbers as
@@ -82,7 +82,7 @@ def replay_batches(
         here, stamps = stamps[:end], stamps[end:]
         if observer.start is not None:
             known = here[np.searchsorted(here, observer.start) :]
-            yield from observer.estimates(known, only_states=only_states)
+            yield from observer.estimates(known, replicas=replicas)
     while pending:
         yield from _measured(observer, waiting, pending[-1].event.stamp)
         yield from _received(observer, pending.pop(), errors)

@@ -37,7 +37,7 @@ from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
-from impact_observer.stamps import Elapsed, from_seconds, seconds_between, text
+from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
     Estimate,
@@ -396,15 +396,21 @@ class RunHistory:
         errors = self._sides.errors(near, x, root, s, closed)
         return np.column_stack([root, *errors]) if errors else root
 
-    def estimates(self, stamps: Stamps, *, only_states: bool) -> Iterator[Estimates]:
+    def estimates(self, stamps: Stamps, *, replicas: bool) -> Iterator[Estimates]:
         """See ``Observer.estimates``."""
         while stamps.size:
             first = self.estimate(int(stamps[0]))
             assert self.timeline is not None, "there is an estimate"
             x, count = np.concatenate([first.q, first.u])[None], 1
             entry, end = self.timeline.interval(first.stamp)
-            if (prediction := self.prediction(entry)).is_plain or only_states:
+            if (prediction := self.prediction(entry)).is_plain or replicas:
                 count = stamps.size if end is None else int(np.searchsorted(stamps, end))
+            if replicas:
+                here = stamps[:count]
+                every = self._replicas(prediction, entry, here)
+                yield Estimates(first, here, every[0], every)
+                stamps = stamps[count:]
+                continue
             if count > 1:
                 s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])
                 states = prediction.states(s)
@@ -413,8 +419,15 @@ class RunHistory:
             yield Estimates(first, stamps[:count], x)
             stamps = stamps[count:]
 
+    def _replicas(self, prediction: Prediction, entry: Entry, stamps: Stamps) -> Matrix:
+        """States of the replicas at ``stamps`` (ns) after an entry, shape (N, samples, 2n)."""
+        s = (stamps - entry.since) / NS_PER_S
+        every = prediction.replicas(np.maximum(s, 0.0))
+        every[:, s <= 0] = entry.belief.replicas[: len(every), None]
+        return self._from_frame(stamps, every)
+
     def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
-        """States (q, u) at ``stamps`` (ns) from states in the frame, shape (samples, 2n)."""
+        """States (q, u) at ``stamps`` (ns) from states in the frame, (..., samples, 2n)."""
         if self._system.frame is None:
             return x
         return self._system.from_frame(stamps - self.epoch, x)

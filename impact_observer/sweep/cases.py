@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from impact_observer.compare.comparison import compare_observer
+from impact_observer.compare.comparison import compare_replicas
 from impact_observer.compare.metrics import METRICS
 from impact_observer.errors import ImpactObserverError, ModelError, UsageError
 from impact_observer.io.pairing import samples_of
@@ -21,7 +21,9 @@ from impact_observer.io.simulated_samples import SampleSimulation, Sampling, sam
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parametric_family, with_unit
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer import Options, make_observer
+from impact_observer.observer import Options, law_named, make_observer
+from impact_observer.observer.laws import ReplicaLaw
+from impact_observer.observer.make_observer import initial_state
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import (
     Plant,
@@ -52,6 +54,8 @@ FIGURES = (
 """Metrics of ``compare`` that a row has."""
 COUNTS = ("events", "impacts_used", "switches_rejected", "impacts_inserted")
 """Whole numbers of a row: events of the sensor, and what the observer made of their impacts."""
+_TOGETHER = 250
+"""Most cases whose replicas run together: more would need more memory."""
 _METRICS = {each.key: each for each in METRICS}
 
 
@@ -122,19 +126,42 @@ class Sweep:
             make_observer(parsed(self.models[0][0]), options, measurements=self.measurements)
         SampleSimulation(self.measurements, system, Sampling(), self.seed)
 
-    def row(self, number: int) -> dict[str, Value]:
-        """Labels of a case, its metrics (None for an undefined one), and its error or "".
+    @property
+    def blocks(self) -> list[range]:
+        """The cases in parts that differ in their run only."""
+        return [
+            range(first, min(first + _TOGETHER, begin + self.runs))
+            for begin in range(0, self.size, self.runs)
+            for first in range(begin, begin + self.runs, _TOGETHER)
+        ]
+
+    def rows(self, block: range) -> list[dict[str, Value]]:
+        """Labels of the cases of a block, metrics (None for undefined ones), and error or "".
 
         V is the energy of the plant, also for another model. A case that fails gives a row with
         the error, and the sweep goes on.
         """
-        labels = {**self.labels(number), **dict.fromkeys((*FIGURES, *COUNTS))}
+        rows = []
+        for cases in self._alike(block):
+            rows += self._rows(cases)
+        return rows
+
+    def _rows(self, cases: Sequence[int]) -> list[dict[str, Value]]:
+        """The rows of cases with equal events, which run as replicas of one observer."""
+        nothing = dict.fromkeys((*FIGURES, *COUNTS))
         try:
-            return {**labels, **self._metrics(number), "error": ""}
+            found = self._metrics(cases)
+            return [
+                {**self.labels(number), **nothing, **each, "error": ""}
+                for number, each in zip(cases, found, strict=True)
+            ]
         except ImpactObserverError as error:
-            return {**labels, "error": str(error)}
+            problem = str(error)
         except Exception as error:  # noqa: BLE001 (a bug in one law must not stop the other cases)
-            return {**labels, "error": " ".join(f"{type(error).__name__}: {error}".split())}
+            problem = " ".join(f"{type(error).__name__}: {error}".split())
+        if len(cases) > 1:  # which one it is
+            return [row for number in cases for row in self._rows([number])]
+        return [{**self.labels(cases[0]), **nothing, "error": problem}]
 
     def labels(self, number: int) -> dict[str, Value]:
         """Law, seed, start, faults and parameters of a case."""
@@ -183,17 +210,25 @@ class Sweep:
         )
         return options, self.sensors[sensor], self.models[model], run
 
-    def _metrics(self, number: int) -> dict[str, Value]:
-        options, sensor, (model, _), k = self._case(number)
+    def _alike(self, block: range) -> list[list[int]]:
+        """The cases of a block, those with equal events together if the law has replicas."""
+        options, sensor, _, _ = self._case(block[0])
+        is_exact = not (sensor.faults or parsed(self.model).sensors.by_contact)
+        has_replicas = issubclass(law_named(options.law), ReplicaLaw)
+        if is_exact and has_replicas and not self.measurements:
+            return [[*block]]
+        return [[number] for number in block]
+
+    def _metrics(self, cases: Sequence[int]) -> list[dict[str, Value]]:
+        options, sensor, (model, _), k = self._case(cases[0])
         run, system, seed = self.plant_run, parsed(self.model).system, self.seed + k
-        last = int(run.stamps[-1])
         sensed = simulate_sensor(
             sensor,
             system,
             run.switchings,
             sensors=parsed(self.model).sensors,
             epoch=run.epoch,
-            last=last,
+            last=int(run.stamps[-1]),
             seed=seed,
         )
         events = sorted((each.event for each in sensed), key=lambda e: (e.stamp, e.sequence))
@@ -202,16 +237,23 @@ class Sweep:
             sampling = Sampling(rate=self.rate)
             simulation = SampleSimulation(self.measurements, system, sampling, seed)
             samples = samples_of_run(simulation, run)
-        comparison = compare_observer(
-            make_observer(parsed(model), options, measurements=self.measurements),
+        observer = make_observer(parsed(model), options, measurements=self.measurements)
+        starts = [self._case(number)[0].initial_state for number in cases]
+        states = [np.concatenate(initial_state(each, system)) for each in starts]
+        observer.start_from(np.array(states))
+        comparisons = compare_replicas(
+            observer,
             events,
             samples_of(run.stamps, run.states),
             system=system,
             needs_event=False,
             samples=samples,
         )
-        shown = {key: _METRICS[key].value(comparison) for key in (*FIGURES, *COUNTS[1:])}
-        return {**shown, "events": len(events)}
+        keys = (*FIGURES, *COUNTS[1:])
+        return [
+            {**{key: _METRICS[key].value(each) for key in keys}, "events": len(events)}
+            for each in comparisons
+        ]
 
 
 @lru_cache(maxsize=64)

@@ -39,24 +39,25 @@ def run_cases(
         SweepError: processes or workers have died.
     """
     parent = 0 if dask else os.getpid()
-    tasks = (joblib.delayed(_row)(parent, sweep, number) for number in range(sweep.size))
+    tasks = (joblib.delayed(_rows)(parent, sweep, block) for block in sweep.blocks)
     with _cluster(dask) if dask else joblib.parallel_config("loky", inner_max_num_threads=1):
         count = -1 if jobs is None else jobs
         parallel = joblib.Parallel(n_jobs=count, return_as="generator_unordered")
         # joblib warns of the rows that an interrupted sweep leaves.
         warnings.filterwarnings("ignore", message=".*successfully executed.*but not used")
         try:
-            yield from parallel(tasks)
+            for rows in parallel(tasks):
+                yield from rows
         except BrokenExecutor as error:
             line = str(error).splitlines()[0]
             raise SweepError(f"a process of the sweep has died: {line}") from None
 
 
-def _row(parent: int, sweep: Sweep, number: int) -> dict[str, Value]:
-    """The row of a case, in a process that ends with its parent; 0 for a worker of a cluster."""
+def _rows(parent: int, sweep: Sweep, block: range) -> list[dict[str, Value]]:
+    """The rows of a block, in a process that ends with its parent; 0 for a worker of a cluster."""
     if parent:
         end_with_parent(parent)
-    return sweep.row(number)
+    return sweep.rows(block)
 
 
 @contextmanager

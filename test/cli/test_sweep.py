@@ -13,12 +13,13 @@ import pytest
 pytest.importorskip("joblib")
 pytest.importorskip("pyarrow")
 
+import numpy as np
 import pyarrow.parquet as pq
 
 from impact_observer.cli.main import main
 from impact_observer.errors import DynamicsError
-from impact_observer.model import Model
-from impact_observer.observer import Observer, Options, make_observer
+from impact_observer.observer import Observer
+from impact_observer.states import Matrix
 
 SMALL = (
     *(
@@ -97,15 +98,16 @@ def test_a_cluster_of_two_workers_gives_the_same_bits(serial: Path, tmp_path: Pa
 def test_a_case_that_fails_is_a_row_and_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The other cases have results; running the command again does not change the row."""
+    """The other cases, which run together, have results."""
     path = tmp_path / "sweep.parquet"
 
-    def broken(model: Model, options: Options, **given: object) -> Observer:
-        if options.initial_state == "random:3":
+    def broken(observer: Observer, replicas: Matrix) -> None:
+        if any(np.array_equal(each, third) for each in replicas):
             raise DynamicsError("no solution")
-        return make_observer(model, options, **given)  # type: ignore[arg-type]
+        start_from(observer, replicas)
 
-    monkeypatch.setattr("impact_observer.sweep.cases.make_observer", broken)
+    start_from, third = Observer.start_from, np.random.default_rng(3).normal(size=4)
+    monkeypatch.setattr(Observer, "start_from", broken)
     words = ["sweep", "two_mass", "--runs", "5", "--duration", "1", "--jobs", "1", "--json"]
     assert main([*words, "-o", str(path)]) == 1
     printed = capsys.readouterr()

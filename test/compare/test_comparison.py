@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from systems import sample
 
-from impact_observer.compare.comparison import Comparison, compare_observer, compare_states
+from impact_observer.compare.comparison import Comparison, compare_replicas, compare_states
 from impact_observer.compare.mismatch import windows
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError
@@ -160,7 +160,8 @@ def test_windows_are_as_long_as_the_errors_of_the_stamps(
     events = [each.event for each in sensed]
     options = Options("geometric", "random:1", clock_error=0.0, ensemble=1)
     observer = make_observer(SYSTEM, options)
-    found = compare_observer(observer, events, samples_of(sampled.stamps, sampled.states))
+    truth = samples_of(sampled.stamps, sampled.states)
+    (found,) = compare_replicas(observer, events, truth)
     samples = 0
     for true, received in zip(sampled.events, events, strict=False):
         a, b = sorted(np.searchsorted(sampled.stamps, [true.stamp, received.stamp]))

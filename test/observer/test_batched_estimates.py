@@ -54,12 +54,35 @@ def test_estimates_are_those_of_each_stamp_alone(law: str) -> None:
     stamps = np.unique([*grid(EPOCH, EPOCH + 3 * NS_PER_S, 200.0).tolist(), *own])
     together = checked(watcher, stamps)
     assert sum(together) == stamps.size
-    states = list(watcher.estimates(stamps, only_states=True))
+    states = list(watcher.estimates(stamps, replicas=True))
     alone = [np.concatenate([each.q, each.u]) for each in map(watcher.estimate, stamps.tolist())]
     np.testing.assert_array_equal(np.concatenate([each.x for each in states]), alone)
     assert max(each.stamps.size for each in states) > 10
     assert law == "minimum-variance" or max(together) > 10
     assert checked(watcher, np.repeat(stamps[:9], 2))
+
+
+@pytest.mark.parametrize("law", ["open-loop", "kinematic", "geometric", "unilateral"])
+@pytest.mark.parametrize("name", ["three_mass", "bouncing_ball"])
+def test_replicas_together_are_those_that_run_alone(name: str, law: str) -> None:
+    """From several starts, at all samples, in flights and while a contact stays closed."""
+    model = sample(name)
+    truth = run(model.system, *model.initial_state(), seconds=5.0)
+    starts = np.random.default_rng(3).normal(size=(4, 2 * model.system.n))
+    stamps = grid(EPOCH, EPOCH + 5 * NS_PER_S, 50.0)
+
+    def observed(replicas: NDArray[np.float64]) -> NDArray[np.float64]:
+        watcher = observer(model.system, law, replicas[0], epoch=EPOCH)
+        watcher.start_from(replicas)
+        for each in truth.events:
+            watcher.receive(each)
+        parts = [each.replicas for each in watcher.estimates(stamps, replicas=True)]
+        return np.concatenate([each for each in parts if each is not None], axis=1)
+
+    together = observed(starts)
+    assert together.shape == (4, stamps.size, 2 * model.system.n)
+    for k, start in enumerate(starts):
+        np.testing.assert_allclose(together[k], observed(start[None])[0], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from impact_observer.dynamics import Motion, Phase
@@ -188,6 +189,10 @@ class OwnMotions(Prediction):
         """Those of the first motion."""
         return self._motions[0].states(s)
 
+    def replicas(self, s: Vector) -> NDArray[np.float64]:
+        """Those of all motions."""
+        return np.array([each.states(s) for each in self._motions])
+
     def belief(self, s: float) -> Belief:
         """All replicas, and the bound of before."""
         replicas = np.array([motion.state(s) for motion in self._motions])
@@ -211,6 +216,12 @@ class _CommonPhase(Prediction):
 
     def states(self, s: Vector) -> Matrix:
         return self._first.states(s)
+
+    def replicas(self, s: Vector) -> NDArray[np.float64]:
+        first, others = self.states(s), self._belief.ensemble.differences.T
+        Phi = self._phase.transitions(s).transpose(2, 0, 1).reshape(others.shape[1], -1)
+        moved = first + (others @ Phi).reshape(len(others), *first.shape)
+        return np.concatenate([first[None], moved])
 
     def belief(self, s: float) -> Belief:
         before = self._belief.ensemble
