@@ -105,16 +105,20 @@ def _short(number: float) -> float:
     return math.ldexp(math.floor(mantissa * 2**20), exponent - 20)
 
 
-def polynomials(c: NDArray[np.float64], x: Vector) -> NDArray[np.float64]:
-    """Values of polynomials, shape (r, samples).
+def polynomials(
+    c: NDArray[np.float64], x: Vector, which: NDArray[np.intp] | None = None
+) -> NDArray[np.float64]:
+    """Values of polynomials by Horner's rule, shape (r, samples).
 
-    Terms are added in their order, so a value does not depend on the other samples, to the bit.
+    A value does not depend on the other samples, to the bit.
 
     Args:
-        c: coefficients, from the constant on, shape (TERMS, r, samples).
+        c: coefficients, from the constant on, shape (TERMS, r, samples or polynomials).
         x: shape (samples,).
+        which: the polynomial of each sample, shape (samples,); None where each has its own.
     """
-    powers = np.empty((TERMS, 1, x.size))
-    powers[0], powers[1:] = 1.0, x
-    np.multiply.accumulate(powers, axis=0, out=powers)
-    return np.asarray(np.add.reduce(c * powers, axis=0))
+    value = np.zeros((c.shape[1], x.size))
+    for each in c[::-1]:
+        value *= x
+        value += each if which is None else each.take(which, axis=1)
+    return value

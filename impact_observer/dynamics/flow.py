@@ -463,7 +463,7 @@ class PhaseMotion(Motion):
         x = (s - steps.start[j]) / flow.exponential.step
         if s.size < len(steps.z):
             return np.asarray(polynomials(flow.polynomials_of(steps.z[j]), x).T)
-        return np.asarray(polynomials(flow.polynomials_of(steps.z)[..., j], x).T)
+        return np.asarray(polynomials(flow.polynomials_of(steps.z), x, j).T)
 
 
 def rate_of(fastest: float, damping: float) -> float:

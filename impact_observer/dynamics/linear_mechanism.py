@@ -79,8 +79,8 @@ class LinearMechanism:
 
     def pressing(self, t: float, x: Vector, /) -> Pressing:
         """How contacts are pressed; gaps are rounded against the sum of all modes' magnitudes."""
-        phases, (q, u) = self.phases, np.split(x, 2)
-        law = phases.unloaded()
+        phases, n = self.phases, self.system.n
+        law, q, u = phases.unloaded(), x[:n], x[n:]
         free = phases.white(self.system.forcing(t) - law.damped(u) - law.sprung(q))
         reach = self._rest + self._modes @ phases.scales.reach(q, u)
         return Pressing(phases.B, phases.length, free, self._bias, reach)

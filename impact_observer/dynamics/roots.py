@@ -101,26 +101,34 @@ class Guards:
             return None
         c, lowest = c.reshape(TERMS, w, count), lowest.reshape(w, count)
         scale = self._scale @ np.abs(steps.z).max(axis=0)
-        depths = _GRAZE * scale * (1 + float(steps.start[0]) / (steps.end - float(steps.start[0])))
+        begin = float(steps.start[0])
+        depths = _GRAZE * scale * (1 + begin / (steps.end - begin))
         doubtful = lowest < -depths[:, None]
-        first = int(np.searchsorted(steps.start, since, side="right")) - 1
-        doubtful[:, : max(first, 0)] = False
-        for j in np.flatnonzero(doubtful.any(axis=0)).tolist():
+        if since > begin:
+            first = int(steps.start.searchsorted(since, side="right")) - 1
+            doubtful[:, :first] = False
+        for j in doubtful.any(axis=0).nonzero()[0].tolist():
             start, length = float(steps.start[j]), float(steps.length[j])
             low = min(max((since - start) / length, 0.0), 1.0)
             zero = self._zero(steps) if is_start and j == 0 and not low else None
             x = np.inf
-            for i in np.flatnonzero(doubtful[:, j]).tolist():
+            for i in doubtful[:, j].nonzero()[0].tolist():
                 g, depth = c[:, i, j].tolist(), float(depths[i])
                 if zero is not None and abs(g[0]) <= _ZERO * scale[i]:
                     g, depth = _without_zeros(g, zero[:, i].tolist()), 0.0
                 found = first_below(g, depth, low)
                 x = x if found is None else min(x, found)
             if x <= 1.0:
-                values = polynomials(c[:, :, j : j + 1], np.array([x]))[:, 0]
-                which = values <= np.maximum(_ZERO * scale, np.min(values))
-                return start + x * length, tuple(np.flatnonzero(which).tolist())
+                return start + x * length, self._together(c[:, :, j : j + 1], x, scale)
         return None
+
+    def _together(self, c: NDArray[np.float64], x: float, scale: Vector) -> tuple[int, ...]:
+        """Indices of the polynomials ``c`` that are zero or negative at the root ``x`` of one."""
+        if self._count == 1:
+            return (0,)
+        values = polynomials(c, np.array([x]))[:, 0]
+        which = values <= np.maximum(_ZERO * scale, np.min(values))
+        return tuple(np.flatnonzero(which).tolist())
 
     def _zero(self, steps: Steps) -> NDArray[np.float64]:
         """Coefficients that are rounding at the start of the first step, shape (TERMS, w)."""
