@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Benchmarks: ``./dev bench``.
 
-    ./dev bench speed                     rows of a group: speed, accuracy or honesty
+    ./dev bench speed                     rows of a group: speed, accuracy, honesty or fits
     ./dev bench 'filter*' --rounds 3      rows by name or pattern
     ./dev bench --list                    all rows
     ./dev bench beside FOLDER NAME...     this checkout and another one take turns
@@ -27,10 +27,15 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import accuracy, honesty, speed
+from benchmarks import accuracy, fits, honesty, speed
 from benchmarks.checkout import HERE, Checkout, FailedError, Figure, Figures, Row
 
-GROUPS = {"speed": speed.ROWS, "accuracy": accuracy.ROWS, "honesty": honesty.ROWS}
+GROUPS = {
+    "speed": speed.ROWS,
+    "accuracy": accuracy.ROWS,
+    "honesty": honesty.ROWS,
+    "fits": fits.ROWS,
+}
 Rounds = dict[str, list[tuple[Figure, ...]]]
 """Of each figure a tuple a round: of this checkout, and of the other one."""
 

@@ -46,7 +46,6 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (Room("batch", "all events at once: parameters, smoothed motion, verdict", "rich"),),
     (
         Room("compare", "estimates against truth: metrics, tables, picture, export", "rich"),
-        Room("observability", "what the impacts determine", "rich"),
         Room("check", "models and bags: what is wrong with them", "rich"),
     ),
     (

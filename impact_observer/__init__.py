@@ -3,10 +3,9 @@
 
 Rooms, each importing only from those before it: ``model``, ``dynamics``, ``robots``, ``plant``
 and ``filter``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
-``smooth``, ``identify``, ``observability``, ``check`` and ``sweep``, then ``ros`` and
-``cli``. The modules beside this file are the vocabulary that all rooms share: errors, stamps,
-events, states, options. The first rooms, up to ``observer``, need numpy and scipy only; a
-``Robot`` needs pinocchio.
+``batch``, ``check``, ``fit`` and ``sweep``, then ``ros`` and ``cli``. The modules beside this
+file are the vocabulary that all rooms share: errors, stamps, events, states, options. The first
+rooms, up to ``observer``, need numpy and scipy only; a ``Robot`` needs pinocchio.
 
 The names below are imported when they are first used, so that ``--help`` stays quick.
 """

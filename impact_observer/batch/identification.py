@@ -33,7 +33,7 @@ _START = 10.0
 """Deviations of the start, over those that are suggested for a rig of this size."""
 _TRIED = 3
 """Other parameters that are tried as the cause of a misfit."""
-_ROUNDS_OF_OTHER = 6
+_ROUNDS_OF_OTHER = 3
 """Linearisations by which other parameters are compared."""
 
 

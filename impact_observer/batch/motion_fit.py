@@ -272,7 +272,7 @@ def fitted(
     fit: MotionFit | None = None
     for number in range(rounds):
         is_first = number < firsts
-        fit = _about(
+        fit = linearised_fit(
             problem,
             theta,
             x,
@@ -306,22 +306,37 @@ def fitted(
     return first or fit
 
 
-def _about(
+def linearised_fit(
     problem: BatchProblem,
     theta: Vector,
     x: Matrix,
     *,
     sizes: NoiseSizes,
-    inflation: Vector,
-    sample_inflation: Vector,
+    inflation: Vector | None = None,
+    sample_inflation: Vector | None = None,
     is_first: bool,
 ) -> MotionFit:
-    """Linearise about states and parameters; the parameters stay where ``is_first``."""
+    """Linearise about states and parameters; the parameters stay where ``is_first``.
+
+    Args:
+        problem: what is to be explained.
+        theta: parameters, shape (p,).
+        x: states before the moments, shape (K + 1, 2n).
+        sizes: of the noises.
+        inflation: deviations of stamps over that of the clock, shape (R,); 1 without.
+        sample_inflation: the same of samples, shape (S,); 1 without, or of another length.
+        is_first: whether the motion is far off.
+
+    Raises:
+        DynamicsError: the forcing has no sample at a moment.
+    """
     tangent, moments = Tangent(problem.family, theta), problem.moments
     motion = linearised(tangent, moments, x)
     near = 0.0 if is_first else _SURE * sizes.clock
     samples = sample_rows(tangent, moments, motion, problem.samples, near)
-    if sample_inflation.size != samples.value.size:
+    if inflation is None:
+        inflation = np.ones(moments.row_moment.size)
+    if sample_inflation is None or sample_inflation.size != samples.value.size:
         sample_inflation = np.ones(samples.value.size)
     intensity = _intensity(tangent, moments, x)
     K, still = moments.count, np.zeros(x.shape[1])

@@ -19,9 +19,8 @@ from impact_observer.options import Options
 from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
+    from impact_observer.batch.determined import Determined
     from impact_observer.model import Model
-    from impact_observer.observability.parameter_limit import ParameterLimit
-    from impact_observer.observability.rank import Observability
 
 _OF_BAGS = ("measurements", "initial_deviation")
 """Options that need a bag."""
@@ -39,24 +38,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check a model, and ask what the impacts in a bag determine."""
-    from impact_observer.draw.reports import print_table
+    from impact_observer.batch.determined import determined_json, determined_lines
+    from impact_observer.draw.reports import print_facts
     from impact_observer.model import read_model
-    from impact_observer.observability.rank_report import for_json, print_observability
 
     if args.bag is None and (given := [name for name in _OF_BAGS if getattr(args, name)]):
         raise UsageError(f"{given[0]}: given without a BAG, whose impacts it is about")
     read = read_model(args.model)
     results = _checked(read, as_json=args.json)
     if args.bag is not None:
-        found, limit = _observability(read, args)
-        deviations = {} if limit is None else {"deviations": limit.for_json}
-        results["impacts"] = {**for_json(found), **deviations}
+        found = _determined(read, args)
+        results["impacts"] = determined_json(found)
         if not args.json:
             say("")
-            print_observability(found)
-        if not args.json and limit is not None:
-            say("")
-            print_table(limit.table(read))
+            print_facts((each.kind, each.text) for each in determined_lines(found))
     if args.json:
         say(json.dumps(results, indent=2))
     return 0
@@ -80,42 +75,24 @@ def _checked(read: "Model", *, as_json: bool) -> dict[str, object]:
     return values
 
 
-def _observability(
-    read: "Model", args: argparse.Namespace
-) -> "tuple[Observability, ParameterLimit | None]":
-    """What the impacts in a bag determine, and how well with the declared deviations."""
-    from impact_observer.filter.readings import sensors_of
+def _determined(read: "Model", args: argparse.Namespace) -> "Determined":
+    """What the impacts in a bag say of the state at their start."""
+    from impact_observer.batch.determined import determined
     from impact_observer.filter.uncertainty import deviation_of
-    from impact_observer.io.live_inputs import give_recorded
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import events_in
     from impact_observer.model.measurements_file import read_measurements
-    from impact_observer.observability.parameter_limit import parameter_limit
-    from impact_observer.observability.rank import observability
 
     system, declared = read.system, read_measurements(args.measurements)
-    options = Options(initial_deviation=args.initial_deviation or Options.initial_deviation)
+    deviation = deviation_of(args.initial_deviation or Options.initial_deviation, system)
     with BagReader(args.bag) as reader:
         events, recorded = events_in(reader), samples_in(reader, declared)
         for problem in () if args.json else recorded.problems:
             say(f"warning: {problem}")
         try:
-            found = observability(
-                system,
-                events,
-                deviation=deviation_of(options.initial_deviation, system),
-                sensors=sensors_of(declared, system),
-                samples=recorded.samples,
+            return determined(
+                system, events, deviation, measurements=declared, samples=recorded.samples
             )
         except BagError as error:
             raise type(error)(f"{args.bag}: {error}") from None
-        limit = parameter_limit(
-            read,
-            events,
-            options,
-            measurements=declared,
-            samples=recorded.samples,
-            give=lambda observer: give_recorded(reader, observer.live),
-        )
-    return found, limit

@@ -142,12 +142,17 @@ class Drive:
 
     def at_each(self, t: Sequence[Elapsed]) -> Matrix:
         """``at`` of K instants, shape (K, e)."""
-        if not self.is_smooth:
-            return np.array([self.at(each) for each in t])
         ns = np.array([each.ns for each in t], dtype=np.int64)
         rest = np.array([each.remainder for each in t])
         angle = self._angles.at_stamps(ns) + np.outer(rest, self._angles.frequency)
-        return np.hstack([np.cos(angle), np.sin(angle), np.ones((len(t), 1))])
+        parts = [np.cos(angle), np.sin(angle), np.ones((len(t), 1))]
+        if self._squares is not None:
+            parts.insert(2, np.array([self._squares.signs(each) for each in t]))
+        if self._samples is not None:
+            instants = np.array([float(each) for each in t])
+            jets = self._samples.derivatives(instants)[: self._shape[0], :, self._active]
+            parts.insert(0, np.hstack([*jets]))
+        return np.hstack(parts)
 
     def check(self, t: Elapsed) -> None:
         """Check that there is a sample at ``t``, if there are samples.

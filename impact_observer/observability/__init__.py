@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Whether the impacts of a recording determine the state: rank, condition, directions."""
