@@ -38,6 +38,27 @@ class Equations(Protocol):
         """``f(t)``, on all coordinates of the frame."""
 
 
+class Factor:
+    """``L`` of a positive definite ``M = L L^T``, and its inverse, shape (n, n) each.
+
+    Raises:
+        LinAlgError: ``M`` is not positive definite.
+    """
+
+    def __init__(self, M: Matrix) -> None:
+        """Factorise ``M``, shape (n, n)."""
+        self.lower = np.linalg.cholesky(M)
+        self.inverse = linalg.solve_triangular(self.lower, np.eye(len(M)), lower=True)
+
+    def solved(self, B: Matrix) -> Matrix:
+        """``L^-1 B``, of shape (n,) or (n, columns) like ``B``."""
+        return np.asarray(self.inverse.dot(B))
+
+    def solved_transposed(self, B: Matrix) -> Matrix:
+        """``L^-T B``, of the shape of ``B``."""
+        return np.asarray(self.inverse.T.dot(B))
+
+
 def state_matrix(system: Equations) -> Matrix:
     """``A`` of ``dx/dt = A x + b(t)``, ``x = (q, u)``, shape (2n, 2n)."""
     n = system.n

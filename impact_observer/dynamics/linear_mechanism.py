@@ -79,9 +79,9 @@ class LinearMechanism:
 
     def pressing(self, t: float, x: Vector, /) -> Pressing:
         """How contacts are pressed; gaps are rounded against the sum of all modes' magnitudes."""
-        phases, n = self.phases, self.system.n
-        law, q, u = phases.unloaded(), x[:n], x[n:]
-        free = phases.white(self.system.forcing(t) - law.damped(u) - law.sprung(q))
+        phases, system, n = self.phases, self.system, self.system.n
+        q, u = x[:n], x[n:]
+        free = phases.white(system.forcing(t) - system.C.dot(u) - system.K.dot(q))
         reach = self._rest + self._modes @ phases.scales.reach(q, u)
         return Pressing(phases.B, phases.length, free, self._bias, reach)
 

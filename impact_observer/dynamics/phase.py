@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
-from impact_observer.dynamics.equations import Equations
-from impact_observer.dynamics.few import Factor, Product, product_with
+from impact_observer.dynamics.equations import Equations, Factor
 from impact_observer.dynamics.flow import Flow, PhaseMotion, rate_of
 from impact_observer.dynamics.scales import Scales
 from impact_observer.model import Forcing, System
@@ -60,8 +59,6 @@ class Unloaded(NamedTuple):
 
     Attributes:
         equations: equations of motion of ``p``.
-        damped: ``C u`` as a function of ``u``.
-        sprung: ``K p`` as a function of ``p``.
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
         load: bound of ``sqrt(f^(k)^T M^-1 f^(k))``; see ``Forcing.bound``.
@@ -69,8 +66,6 @@ class Unloaded(NamedTuple):
     """
 
     equations: Equations
-    damped: Product
-    sprung: Product
     Q: Matrix
     rest: Vector
     load: Callable[[int, Vector], Vector]
@@ -144,7 +139,7 @@ class Phases:
         """Factorise the mass matrix."""
         self.system = system
         self._factor = Factor(system.M)
-        self.inertia = product_with(system.M)
+        self.inertia = system.M.dot
         self.B = frozen(self.white(system.W))
         self.length = frozen(np.linalg.norm(self.B, axis=0))
         self._inverse = self._left(np.eye(system.n))
@@ -189,7 +184,7 @@ class Phases:
         """
         n = self.system.n
         basis = orthonormal(self.B[:, list(self.independent(contacts))])
-        velocity = self._factor.transposed(x[n:])
+        velocity = self._factor.lower.T.dot(x[n:])
         velocity -= basis @ (basis.T @ velocity)
         position = (projection or self.projection).position_after(x[:n], contacts)
         return np.concatenate([position, self.unwhite(velocity)])
@@ -218,7 +213,8 @@ class Phases:
         """
         k, at = len(motion) - 2, np.array([t])
         force = law.equations.forcing.derivatives(at, k)[k, 0]
-        terms = self.white(np.array([force, law.damped(motion[-1]), law.sprung(motion[-2])]).T)
+        C, K = law.equations.C, law.equations.K
+        terms = self.white(np.array([force, C.dot(motion[-1]), K.dot(motion[-2])]).T)
         size = np.sqrt(np.einsum("ij,ij->j", terms, terms).max())
         return terms[:, 0] - terms[:, 1] - terms[:, 2], max(float(size), float(law.load(k, at)[0]))
 
@@ -235,10 +231,7 @@ class Phases:
             stiffness = self._cleaned(_symmetric(Q.T @ system.K @ Q), np.diag(system.M), whole)
             equations = Reduced(system.M, system.C, stiffness, forcing)
         load = equations.forcing.bound(self._inverse)
-        pulls = product_with(equations.C), product_with(equations.K)
-        return Unloaded(
-            equations, *pulls, frozen(Q), frozen(rest), load, Scales.of_equations(equations)
-        )
+        return Unloaded(equations, frozen(Q), frozen(rest), load, Scales.of_equations(equations))
 
     def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
         if fixed and not self.independent(fixed, held):

@@ -15,7 +15,7 @@ from scipy import linalg
 
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.dynamics.contact.projection import KEPT
-from impact_observer.dynamics.few import Factor
+from impact_observer.dynamics.equations import Factor
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts
 from impact_observer.model import System

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics.few import Factor
+from impact_observer.dynamics.equations import Factor
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 
