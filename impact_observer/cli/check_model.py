@@ -61,15 +61,16 @@ def _checked(read: "Model", *, as_json: bool) -> dict[str, object]:
     """The check of a model for ``--json``; otherwise it is printed."""
     from impact_observer.check.model_check import check_model
     from impact_observer.check.model_report import for_json, print_values
-    from impact_observer.check.robot_report import robot_json
     from impact_observer.draw.reports import counted
+    from impact_observer.model import System
+    from impact_observer.model.multibody import report_on
 
     if read.misfit and not as_json:
         say(f"warning: {read.misfit}")
-    robot = read.robot
-    values = for_json(check_model(read)) if robot is None else robot_json(read)
+    is_linear = isinstance(read.subject, System)
+    values = for_json(check_model(read)) if is_linear else report_on(read)
     if not as_json:
-        what = "coordinate" if robot is None else "joint"
+        what = "joint" if "joints" in values else "coordinate"
         sizes = f"{counted(values['n'], what)}, {counted(values['m'], 'contact')}"
         print_values(values, sizes)
     return values

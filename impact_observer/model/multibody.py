@@ -2,12 +2,13 @@
 """A multibody system with contacts: what any room may ask of it, whatever its equations are.
 
 Linear systems (``System``) answer by themselves. What else a model file can describe is made by
-the room that ``MADE_BY`` names for it.
+the room that ``_MADE_BY`` names for it.
 """
 
 import math
 from importlib import import_module
-from typing import Protocol
+from types import ModuleType
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +20,9 @@ from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import System
 from impact_observer.states import Matrix, Vector
 
-MADE_BY = {"urdf": "impact_observer.robots"}
-"""Modules whose function ``multibody`` makes the system of a model, by the key of its file."""
+_MADE_BY = {"RobotDescription": "impact_observer.robots"}
+"""Modules that know a kind of model, by the type of its subject. Their function ``multibody``
+makes its system, and ``report`` what ``check-model`` says of it."""
 
 
 class Multibody(Protocol):
@@ -149,5 +151,19 @@ def multibody_of(model: Model) -> Multibody:
     """
     if isinstance(model.subject, System):
         return model.subject
-    found: Multibody = import_module(MADE_BY["urdf"]).multibody(model)
+    found: Multibody = _room_of(model).multibody(model)
     return found
+
+
+def report_on(model: Model) -> dict[str, Any]:
+    """What ``check-model --json`` prints of a ``model`` that is no linear system.
+
+    Raises:
+        UsageError, ModelError: as ``multibody_of``.
+    """
+    values: dict[str, Any] = _room_of(model).report(model)
+    return values
+
+
+def _room_of(model: Model) -> ModuleType:
+    return import_module(_MADE_BY[type(model.subject).__name__])

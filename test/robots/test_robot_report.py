@@ -8,9 +8,9 @@ from arms import DOUBLE, PENDULUM, joint, link, model_of, urdf, wall
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
-from impact_observer.check.robot_report import robot_json
 from impact_observer.cli.main import main
 from impact_observer.model import Model
+from impact_observer.model.multibody import report_on
 
 LIMIT = '<limit lower="-1" upper="2" effort="5" velocity="5"/>'
 CHAIN = urdf(
@@ -24,7 +24,7 @@ CHAIN = urdf(
 
 def findings(model: Model) -> list[str]:
     """The remarks on a model, each after its kind."""
-    found = robot_json(model)["findings"]
+    found = report_on(model)["findings"]
     assert isinstance(found, list)
     return [f"{each['kind']} {each['text']}" for each in found]
 

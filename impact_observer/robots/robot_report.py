@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from impact_observer.draw.reports import listed
 from impact_observer.model import Model
 from impact_observer.robots.robot import Robot, robot_of
 from impact_observer.states import Vector
@@ -84,14 +83,14 @@ def _findings(robot: Robot, start: Vector | None) -> Iterator[tuple[str, str]]:
     if held := description.held_in_words:
         yield "note", f"{held[0].upper()}{held[1:]}."
     if turning := [each.name for each in description.urdf_joints if each.type == "continuous"]:
-        yield "note", f"Angles count on beyond a turn; encoders of {listed(turning)} need not."
+        yield "note", f"Angles count on beyond a turn; encoders of {', '.join(turning)} need not."
     for i in () if start is None else robot.beyond_limits(start):
         limits = f"{robot.lower[i]:g} to {robot.upper[i]:g} {robot.units[i]}"
         found = f"The start of {robot.coordinates[i]} is {start[i]:g}" if start is not None else ""
         yield "warning", f"{found}, outside its limits {limits}, which are no contacts."
     bounded = np.flatnonzero(np.isfinite(robot.lower) | np.isfinite(robot.upper))
     if limited := [robot.coordinates[i] for i in bounded]:
-        limits = f"The URDF has limits of {listed(limited)}, which the model does not use"
+        limits = f"The URDF has limits of {', '.join(limited)}, which the model does not use"
         yield "note", f"{limits}: give a contact where the robot hits one."
     is_driven = forcing.depends_on_time or forcing.constant.any()
     for kind, text in description.torque_remarks:
@@ -99,7 +98,7 @@ def _findings(robot: Robot, start: Vector | None) -> Iterator[tuple[str, str]]:
         yield kind if is_sure else "note", f"{text[0].upper()}{text[1:]}."
     known = np.isfinite(robot.fastest) & (robot.fastest > 0)
     if slow := [robot.coordinates[i] for i in np.flatnonzero(~known)]:
-        limits = f"The URDF has no velocity limit of {listed(slow)}"
+        limits = f"The URDF has no velocity limit of {', '.join(slow)}"
         yield "note", f"{limits}, so nothing says how fast it may be at first."
     q = np.zeros(robot.n) if start is None else start
     if not robot.m:
