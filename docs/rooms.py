@@ -21,7 +21,7 @@ class Room(NamedTuple):
 
 ROOMS: tuple[tuple[Room, ...], ...] = (
     (
-        Room("model", "systems, model files, elements, forcing, parameters", "ruamel.yaml"),
+        Room("model", "systems, model files, forcing, parameters", "ruamel.yaml, msgspec"),
         Room("kernel", "what is compiled, C++: formulas without their theory", "pybind11"),
     ),
     (Room("dynamics", "flow of a phase, contact laws, guards and event location"),),
@@ -40,7 +40,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         ),
     ),
     (
-        Room("detector", "impacts from switches, accelerations, forces", "ruamel.yaml"),
+        Room("detector", "impacts from switches, accelerations, forces", "msgspec"),
         Room("draw", "pictures and tables of text", "matplotlib"),
     ),
     (Room("batch", "all events at once: parameters, smoothed motion, verdict", "rich"),),

@@ -22,7 +22,7 @@ BENCHMARKS = ROOT / "benchmarks"
 LEVELS = {room.name: level for level, rooms in enumerate(ROOMS, 1) for room in rooms}
 """The modules beside the rooms are the vocabulary, level 0."""
 CORE = ("model", "dynamics", "robots", "plant", "filter", "observer")
-ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}
+ALLOWED = {"numpy", "scipy", "msgspec", *sys.stdlib_module_names} - {"argparse"}
 ENTRANCE = {"__init__.py", "__main__.py"}
 """Modules beside the rooms that lead into them: they may import any room."""
 
@@ -103,9 +103,9 @@ def test_modules_import_only_rooms_below_their_own() -> None:
             assert allowed, f"{named(path)} imports {name}"
 
 
-def test_core_needs_numpy_and_scipy_only() -> None:
-    """No ROS, no bags, no command line; YAML in one place."""
-    extra = {"model/model_file.py": {"ruamel"}, "robots/pinocchio_model.py": {"pinocchio"}}
+def test_core_needs_numpy_scipy_and_a_schema_only() -> None:
+    """No ROS, no bags, no command line; YAML in one place, a schema for files."""
+    extra = {"model/yaml_text.py": {"ruamel"}, "robots/pinocchio_model.py": {"pinocchio"}}
     for path in modules(*CORE):
         allowed = {PACKAGE.name, *ALLOWED, *extra.get(str(path.relative_to(PACKAGE)), ())}
         for name in imports(path):

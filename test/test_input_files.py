@@ -11,7 +11,7 @@ import pytest
 
 from impact_observer.cli.main import main
 from impact_observer.errors import ModelError
-from impact_observer.model.document import load_matrix
+from impact_observer.model.matrix_files import load_matrix
 
 COMMANDS = {
     "a model": ["check-model", "{}"],

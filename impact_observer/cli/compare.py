@@ -165,7 +165,7 @@ def _compare_one(
 
     with BagReader(bag) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
-        read = model_of(reader, args.model, comparing=not options)
+        read = model_of(reader, args.model)
         truth = reader.truth_topic()
         tell = partial(say, file=sys.stderr if args.json else sys.stdout)
         read_part(reader, args.start, args.duration, [truth] if truth else [], tell=tell)

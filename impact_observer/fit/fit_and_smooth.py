@@ -20,8 +20,9 @@ from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parameters_beside, parametric_family
-from impact_observer.model.model_file import FITS, ModelText, edited
+from impact_observer.model.model_file import FITS, ModelText
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
+from impact_observer.model.yaml_text import edited
 from impact_observer.observer import Options
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix

@@ -6,19 +6,36 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
+from typing import Annotated, Literal
 
+import msgspec
+from msgspec import UNSET, Meta, UnsetType
 from ruamel.yaml import YAML
 
 from impact_observer.detector import Source
-from impact_observer.detector.sensor_file import sources_in
+from impact_observer.detector.sensor_file import SourceKeys, checked_sources
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.io.table_times import UNITS
-from impact_observer.io.tables import SEPARATORS, TableForm
-from impact_observer.model.document import Section
-from impact_observer.model.model_file import load_yaml
+from impact_observer.io.tables import TableForm
+from impact_observer.model.document import Keys, Name, Positive, converted
+from impact_observer.model.yaml_text import load_yaml
 from impact_observer.resources import read_file_or_sample
 
-_TABLE_KEYS = tuple(each.name for each in fields(TableForm))
+
+class _Form(Keys, frozen=True):
+    """The key ``table``; what it means says ``TableForm``."""
+
+    time_unit: Literal["s", "ms", "us", "ns", "min", "h"] | UnsetType = UNSET
+    time_column: Name | UnsetType = UNSET
+    sort: bool | UnsetType = UNSET
+    separator: Literal["tab", "semicolon", "comma", "blank"] | UnsetType = UNSET
+    decimal: Literal["point", "comma"] | UnsetType = UNSET
+    skip_rows: Annotated[int, Meta(ge=0)] | UnsetType = UNSET
+    frame_rate: Positive | UnsetType = UNSET
+
+
+class _Recording(Keys, frozen=True):
+    sources: tuple[SourceKeys, ...] = ()
+    table: _Form | UnsetType = UNSET
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +67,15 @@ def read_fit_sources(path: Path | None, form: TableForm | None = None) -> FitSou
         return FitSources((), form)
     file, text = read_file_or_sample(path, "config/detector", "a file of sensors, or a sample")
     try:
-        section = Section("", load_yaml(text), ("sources", "table"))
-        if "table" in section:
+        given = converted(load_yaml(text), _Recording)
+        if not isinstance(given.table, UnsetType):
             if form != TableForm():
                 raise ModelError("table", "options of a table found beside it; expected one")
-            form = _form(section)
-        return FitSources(sources_in(section, str(file)), form)
+            keys = msgspec.to_builtins(given.table)
+            if "frame_rate" in keys:
+                keys["frame_rate"] = Fraction(str(keys["frame_rate"]))
+            form = TableForm(**keys)
+        return FitSources(checked_sources(given.sources, str(file)), form)
     except ModelError as error:
         raise UsageError(f"{file}: {error}") from None
 
@@ -70,28 +90,3 @@ def sources_text(sources: Iterable[Source]) -> str:
     written = io.StringIO()
     YAML().dump({"sources": items}, written)
     return written.getvalue()
-
-
-def _form(section: Section) -> TableForm:
-    """Return the form of a table under the key ``table``."""
-    table = Section("table", section.value("table"), _TABLE_KEYS)
-    given: dict[str, object] = {}
-    for key in (each for each in _TABLE_KEYS if each in table):
-        if key == "sort":
-            given[key] = table.value(key) is True
-        elif key == "skip_rows":
-            given[key] = int(table.number(key))
-        elif key == "frame_rate":
-            given[key] = Fraction(str(table.number(key)))
-        else:
-            given[key] = table.text(key)
-    for key, allowed in (
-        ("separator", SEPARATORS),
-        ("time_unit", UNITS),
-        ("decimal", ("point", "comma")),
-    ):
-        if key in given and given[key] not in allowed:
-            raise ModelError(
-                table.key(key), f"{given[key]} found; expected one of {', '.join(allowed)}"
-            )
-    return TableForm(**given)  # type: ignore[arg-type]

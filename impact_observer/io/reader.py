@@ -69,7 +69,7 @@ from impact_observer.io.typestores import (
     new_typestore,
 )
 from impact_observer.io.unfinished_mcap import has_end, write_whole
-from impact_observer.model.model_file import load_yaml
+from impact_observer.model.yaml_text import load_yaml
 from impact_observer.plain_text import say
 from impact_observer.resources import read_text
 from impact_observer.stamps import NS_PER_S

@@ -185,16 +185,14 @@ def text_of_model(reader: BagReader, model: str | None) -> ModelText:
     return ModelText(content, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
 
 
-def model_of(reader: BagReader, model: str | None = None, *, comparing: bool = False) -> Model:
+def model_of(reader: BagReader, model: str | None = None) -> Model:
     """The model file or sample ``model``, or if None the model in the bag.
-
-    ``comparing`` is that of ``parse_model``.
 
     Raises:
         BagError: the bag has no model.
         UsageError, ModelError: the model cannot be read, or is not valid.
     """
-    return parse_model(*text_of_model(reader, model), comparing=comparing)
+    return parse_model(*text_of_model(reader, model))
 
 
 def events_in(reader: BagReader) -> list[ImpactEvent]:

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The key ``sensors`` of a model file: what is left of the errors of each contact's sensor."""
+"""What is left of the errors of the sensors of single contacts."""
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import Literal
+
+import msgspec
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Section
+from impact_observer.model.document import converted
+from impact_observer.model.schema import SensorKeys
 
-KEY, NO_SENSOR = "sensors", "none"
-_RANGES = {
-    "clock_error": (0.0, 1.0, "0 to 1 s"),
-    "missed": (0.0, 1.0, "a probability"),
-    "latency": (-10.0, 10.0, "-10 to 10 s"),
-}
+KEY = "sensors"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,18 +51,14 @@ class ContactSensors:
     def __post_init__(self) -> None:
         """Check all values."""
         for contact, sensor in self.by_contact:
-            for name, value in () if sensor is None else sensor.given():
-                low, high, wanted = _RANGES[name]
-                if not (math.isfinite(value) and low <= value <= high):
-                    raise ModelError(
-                        f"{KEY}.{contact}.{name}", f"{value:g} found; expected {wanted}"
-                    )
+            if sensor is not None:
+                converted(dict(sensor.given()), SensorKeys, f"{KEY}.{contact}")
 
     @property
     def document(self) -> dict[str, object]:
         """The value of the key ``sensors``."""
         return {
-            contact: NO_SENSOR if sensor is None else dict(sensor.given())
+            contact: "none" if sensor is None else dict(sensor.given())
             for contact, sensor in self.by_contact
         }
 
@@ -73,27 +67,21 @@ NO_SENSORS = ContactSensors()
 """All contacts have the same errors."""
 
 
-def read_contact_sensors(section: Section, contacts: tuple[str, ...]) -> ContactSensors:
+def contact_sensors(
+    sensors: Mapping[str, SensorKeys | Literal["none"]], contacts: Sequence[str]
+) -> ContactSensors:
     """The sensors in a model file with these ``contacts``.
 
     Raises:
-        ModelError: an unknown contact or key, or a wrong value; the error names the key.
+        ModelError: an unknown contact.
     """
-    if KEY not in section:
-        return NO_SENSORS
-    sensors = Section(KEY, section.value(KEY), contacts)
-    return ContactSensors(
-        tuple((name, _sensor(sensors, name)) for name in contacts if name in sensors)
-    )
+    for name in sensors:
+        if name not in contacts:
+            wanted = ", ".join(contacts) or "none, as it has no contacts"
+            raise ModelError(f"{KEY}.{name}", f"is no contact; expected one of {wanted}")
+    own = {name: sensors[name] for name in contacts if name in sensors}
+    return ContactSensors(tuple((name, _sensor(each)) for name, each in own.items()))
 
 
-def _sensor(sensors: Section, contact: str) -> ContactSensor | None:
-    value, key = sensors.value(contact), sensors.key(contact)
-    if value == NO_SENSOR:
-        return None
-    if not isinstance(value, Mapping):
-        raise ModelError(
-            key, f"{value!r:.40} found; expected {NO_SENSOR}, or keys: {', '.join(_RANGES)}"
-        )
-    sensor = Section(key, value, tuple(_RANGES))
-    return ContactSensor(**{name: sensor.number(name) for name in value})
+def _sensor(given: SensorKeys | Literal["none"]) -> ContactSensor | None:
+    return None if given == "none" else ContactSensor(**msgspec.to_builtins(given))

@@ -1,30 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Deviations that stand beside the numbers of a model file: ``{value: 0.7, deviation: 0.01}``."""
 
-from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import Section, Value, number
+from impact_observer.model.document import NotNegative, Value, converted
 from impact_observer.model.elements import Element
-from impact_observer.model.free_parameters import parametric_family
-from impact_observer.model.parameter_places import (
-    ParameterPlace,
-    Place,
-    key_of,
-    parameter_places,
-)
-from impact_observer.model.parameter_uncertainty import (
-    KEY,
-    ParameterUncertainty,
-    declared_uncertainty,
-    named_section,
-    with_beside,
-)
-from impact_observer.model.parametric_family import ModelParameter
+from impact_observer.model.free_parameters import OFFSET, parametric_family
+from impact_observer.model.parameter_places import Place, key_of, parameter_places
+from impact_observer.model.parameter_uncertainty import KEY, ParameterUncertainty
 from impact_observer.model.robot_description import (
     DAMPING,
     RESTITUTION,
@@ -32,12 +20,11 @@ from impact_observer.model.robot_description import (
     RobotDescription,
 )
 from impact_observer.model.system import System
+from impact_observer.states import Matrix
 
 _DEVIATION = "deviation"
 _BESIDE = ("provenance", KEY)
 """Keys of a model file that hold no numbers of the physics."""
-_NEARLY = 0.75
-"""Likeness to a key from which on another key is a misspelling of it."""
 _NOTHING_AT_ZERO = ("amplitude", "stiffness", "damping")
 """Keys of numbers that are no parameters where they are 0."""
 
@@ -52,6 +39,15 @@ class PlainDocument(NamedTuple):
 
     document: Mapping[str, Any]
     deviations: dict[Place, float]
+
+
+class NamedDeviation(NamedTuple):
+    """A deviation beside a number: ``slope`` is the number's unit over that of the parameter."""
+
+    name: str
+    key: str
+    deviation: float
+    slope: float = 1.0
 
 
 def without_deviations(document: Mapping[str, Value]) -> PlainDocument:
@@ -73,30 +69,19 @@ def _plain(value: Value, path: Place, deviations: dict[Place, float]) -> Value:
         return [_plain(each, (*path, i), deviations) for i, each in enumerate(value)]
     if not isinstance(value, Mapping):
         return value
+    rest = {
+        key: _plain(each, (*path, key), deviations)
+        for key, each in value.items()
+        if key != _DEVIATION
+    }
     if _DEVIATION not in value:
-        _check_spelling(value, path)
-        return {key: _plain(each, (*path, key), deviations) for key, each in value.items()}
-    key, rest = key_of(path), {name: each for name, each in value.items() if name != _DEVIATION}
+        return rest
     if "value" not in rest:
-        raise ModelError(f"{key}.value", f"is missing beside {_DEVIATION}")
-    deviation = number(f"{key}.{_DEVIATION}", value[_DEVIATION])
-    if deviation < 0:
-        raise ModelError(
-            f"{key}.{_DEVIATION}", f"is {deviation:g}; expected a standard deviation, >= 0"
-        )
-    alone = len(rest) == 1
-    deviations[path if alone else (*path, "value")] = deviation
-    return rest["value"] if alone else _plain(rest, path, deviations)
-
-
-def _check_spelling(value: Mapping[str, Value], path: Place) -> None:
-    """Raise ModelError if a key beside ``value`` is nearly ``deviation``."""
-    if "value" not in value:
-        return
-    for name in get_close_matches(_DEVIATION, map(str, value), 1, _NEARLY):
-        raise ModelError(
-            f"{key_of(path)}.{name}", f"is not known here; expected value and {_DEVIATION}"
-        )
+        raise ModelError(f"{key_of(path)}.value", f"is missing beside {_DEVIATION}")
+    is_alone, key = len(rest) == 1, f"{key_of(path)}.{_DEVIATION}"
+    deviation = converted(value[_DEVIATION], NotNegative, key)
+    deviations[path if is_alone else (*path, "value")] = deviation
+    return rest["value"] if is_alone else rest
 
 
 def with_deviations(
@@ -113,45 +98,60 @@ def with_deviations(
         ModelError: a deviation of what is no parameter, or of one that has a deviation already,
             or one so large that the value is of no use.
     """
-    named = [*_named(plain, system)]
-    slopes = {place.name: place.slope for place, _ in named}
-    keys, covariance = with_beside(
-        known, ((each.name, key_of(each.path), size / each.slope) for each, size in named)
-    )
+    beside = [*_of_linear(plain, system)]
+    keys, covariance = _joined(known, beside)
     if not keys:
         return None
+    if OFFSET in keys:
+        raise ModelError(f"{KEY}.names", f"{OFFSET} found; expected parameters of the model")
     try:
         parameters = parametric_family(system, [*keys], elements).parameters
     except UsageError as error:
-        key = next((keys[name] for name in slopes if repr(name) in str(error)), KEY)
+        key = next((each.key for each in beside if repr(each.name) in str(error)), f"{KEY}.names")
         raise ModelError(key, str(error)) from None
-    deviations = np.sqrt(np.diag(covariance)).tolist()
-    used = [
-        _is_used(each, deviation, keys[each.name], abs(slopes.get(each.name, 1.0)))
-        for each, deviation in zip(parameters, deviations, strict=True)
-    ]
-    fitted_to = known.fitted_to if known else None
-    return ParameterUncertainty((*keys,), covariance * np.outer(used, used), fitted_to)
+    if kinds := keys.keys() - {each.name for each in parameters}:
+        wanted = ", ".join(each.name for each in parameters)
+        problem = f"{kinds.pop()} found, a kind; expected single parameters: {wanted}"
+        raise ModelError(f"{KEY}.names", problem)
+    slopes = {each.name: abs(each.slope) for each in beside}
+    used = []
+    for each, deviation in zip(parameters, np.sqrt(np.diag(covariance)).tolist(), strict=True):
+        least, most = each.deviation_range
+        if deviation > most:
+            slope, key = slopes.get(each.name, 1.0), keys[each.name]
+            raise ModelError(
+                key if key.startswith(KEY) else f"{key}.{_DEVIATION}",
+                f"{deviation * slope:g} found; expected at most {most * slope:g}: find the value"
+                " with identify",
+            )
+        used.append(deviation >= least)
+    covariance = covariance * np.outer(used, used)
+    return ParameterUncertainty((*keys,), covariance, known.fitted_to if known else None)
 
 
-def _is_used(parameter: ModelParameter, deviation: float, key: str, slope: float) -> bool:
-    """Whether a ``deviation`` is larger than rounding; ``slope`` is that of the number at ``key``.
+def _joined(
+    known: ParameterUncertainty | None, beside: Iterable[NamedDeviation]
+) -> tuple[dict[str, str], Matrix]:
+    """The key of each parameter's deviation by its name, and the covariance, shape (p, p).
 
     Raises:
-        ModelError: the deviation is so large that the value is of no use.
+        ModelError: a parameter has two deviations.
     """
-    least, most = parameter.deviation_range
-    if deviation > most:
-        raise ModelError(
-            key if key.startswith(KEY) else f"{key}.{_DEVIATION}",
-            f"a deviation of {deviation * slope:g} found; expected at most {most * slope:g}: find"
-            " the value with identify",
-        )
-    return deviation >= least
+    names = known.names if known else ()
+    keys = {name: f"{KEY}.covariance[{i}][{i}]" for i, name in enumerate(names)}
+    variances = list[float]()
+    for each in beside:
+        if each.name in keys:
+            problem = f"has a deviation, and {each.name} has one at {keys[each.name]}"
+            raise ModelError(each.key, f"{problem}; expected one of the two")
+        keys[each.name] = each.key
+        variances.append((each.deviation / each.slope) ** 2)
+    covariance = known.covariance if known else np.empty((0, 0))
+    return keys, linalg.block_diag(covariance, np.diag(variances))
 
 
-def _named(plain: PlainDocument, system: System) -> Iterator[tuple[ParameterPlace, float]]:
-    """The place of each number that has a deviation, and the deviation in the number's unit."""
+def _of_linear(plain: PlainDocument, system: System) -> Iterator[NamedDeviation]:
+    """What the numbers of a linear system that have a deviation are parameters of."""
     if not plain.deviations:
         return
     places = {each.path: each for each in parameter_places(plain.document, system)}
@@ -163,12 +163,8 @@ def _named(plain: PlainDocument, system: System) -> Iterator[tuple[ParameterPlac
         for part in path[:-1]:
             beside = beside[part]
         if not beside[path[-1]] and path[-1] in _NOTHING_AT_ZERO:
-            raise ModelError(
-                key,
-                "is 0 with a deviation; expected another value, or a plain 0: what is 0 is no"
-                " parameter here",
-            )
-        yield places[path], deviation
+            raise ModelError(key, "is 0 with a deviation; expected another value, or a plain 0")
+        yield NamedDeviation(places[path].name, key, deviation, places[path].slope)
 
 
 def _instead(path: Place) -> str:
@@ -181,50 +177,38 @@ def _instead(path: Place) -> str:
     return f"a plain number, as this is no parameter of the model: {KEY} takes those of identify"
 
 
-def read_robot_uncertainty(
-    section: Section, plain: PlainDocument, robot: RobotDescription
+def with_robot_deviations(
+    known: ParameterUncertainty | None, plain: PlainDocument, robot: RobotDescription
 ) -> ParameterUncertainty | None:
-    """The uncertainty of a model file of a ``robot``; None where the file says nothing.
+    """The same for a ``robot``.
 
     Parameters have names such as ``damping.elbow``, ``rotor-inertia.elbow``, ``restitution.wall``.
 
     Raises:
         ModelError: a value is wrong; the error names the key and the expected value.
     """
-    known = None
-    if KEY in section:
-        names, value = named_section(section)
-        for i, name in enumerate(names):
-            if name not in robot.parameters:
-                wanted = ", ".join(robot.parameters)
-                raise ModelError(
-                    f"{KEY}.names[{i}]", f"{name!r} is no parameter; expected some of {wanted}"
-                )
-        known = declared_uncertainty(names, value)
-    keys, covariance = with_beside(known, _of_robot(plain, robot))
+    for i, name in enumerate(known.names if known else ()):
+        if name not in robot.parameters:
+            wanted = ", ".join(robot.parameters)
+            problem = f"{name!r} is no parameter; expected some of {wanted}"
+            raise ModelError(f"{KEY}.names[{i}]", problem)
+    keys, covariance = _joined(known, _of_robot(plain, robot))
     if not keys:
-        return known
+        return None
     return ParameterUncertainty((*keys,), covariance, known.fitted_to if known else None)
 
 
-def _of_robot(plain: PlainDocument, robot: RobotDescription) -> Iterator[tuple[str, str, float]]:
-    """Names, keys and deviations of numbers that have a deviation beside them."""
-    for place, deviation in plain.deviations.items():
-        if (name := _robot_name(place, robot)) not in robot.parameters:
+def _of_robot(plain: PlainDocument, robot: RobotDescription) -> Iterator[NamedDeviation]:
+    """What the numbers of a robot that have a deviation are parameters of."""
+    kinds = {"damping": DAMPING, "rotor_inertia": ROTOR_INERTIA}
+    for path, deviation in plain.deviations.items():
+        name = f"{kinds.get(str(path[0]))}.{path[-1]}"
+        if path[0] == "contacts" and path[2:] in ((RESTITUTION,), (RESTITUTION, "value")):
+            name = f"{RESTITUTION}.{robot.contact_names[int(path[1])]}"
+        if name not in robot.parameters:
             raise ModelError(
-                key_of(place),
+                key_of(path),
                 "has a deviation; expected a plain number: of a robot, damping, rotor_inertia and"
                 " restitution may have one",
             )
-        yield name, key_of(place), deviation
-
-
-def _robot_name(place: Place, robot: RobotDescription) -> str:
-    """The parameter at a place of the model file; empty for no parameter."""
-    kinds = {"damping": DAMPING, "rotor_inertia": ROTOR_INERTIA}
-    if len(place) == 2 and place[0] in kinds:
-        return f"{kinds[str(place[0])]}.{place[1]}"
-    in_contact = len(place) > 2 and place[0] == "contacts" and place[2] == RESTITUTION
-    if in_contact and place[3:] in {(), ("value",)}:
-        return f"{RESTITUTION}.{robot.contact_names[int(place[1])]}"
-    return ""
+        yield NamedDeviation(name, key_of(path), deviation)

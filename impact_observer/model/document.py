@@ -1,149 +1,187 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checked values of a model file; every error names the key of the value."""
+"""Documents as values of a schema.
 
-import gzip
+Every mistake is one error that names the key, what was found and what is expected.
+"""
+
 import math
-from collections.abc import Mapping, Sequence
-from io import BytesIO
-from pathlib import Path
-from typing import BinaryIO, TypeAlias
+import re
+import types
+from collections.abc import Collection, Mapping, Sequence
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin
+from typing import get_type_hints as hints_of
 
+import msgspec
 import numpy as np
-import scipy
-from numpy.typing import ArrayLike, NDArray
+from msgspec import Meta
+from numpy.typing import ArrayLike
 
 from impact_observer.errors import ModelError
-from impact_observer.input_files import open_input
-from impact_observer.model.gone_keys import problem_with
-from impact_observer.states import Matrix, Vector, frozen
+from impact_observer.model.gone_keys import gone
+from impact_observer.states import Vector, frozen
 
 LARGEST = 1e15
 """Largest magnitude of any number of a model, SI units; products of larger numbers overflow."""
-_MOST_TEXT, _MOST_NUMBERS = 200_000_000, 100_000_000
-"""Bytes of the text of a matrix, unpacked, and numbers in a matrix: more take minutes to read."""
 Value: TypeAlias = object
 """Any value in a YAML file."""
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
+NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Name = Annotated[str, Meta(pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+$")]
+"""A text that can be printed, of one letter at least."""
+T = TypeVar("T")
+_STEP = re.compile(r"\.([^.\[]+)|\[(\d+|\.\.\.)\]")
+_MESSAGE = re.compile(r"(.*?)(?: - at `(?:key` in `)?\$(.*)`)?", re.DOTALL)
+_WORDS: dict[object, str] = {
+    float: "a number",
+    int: "a whole number",
+    str: "a name",
+    bool: "true or false",
+    tuple: "a list",
+    dict: "a mapping",
+}
+"""What types are called in errors."""
 
 
-class Section:
-    """A mapping in a model file, with the key of the mapping and the allowed member keys."""
-
-    def __init__(self, key: str, value: Value, allowed: Sequence[str]) -> None:
-        """Take the ``value`` of ``key``.
-
-        Raises:
-            ModelError: ``value`` is not a mapping, or has a key that is not ``allowed``.
-        """
-        if not isinstance(value, Mapping):
-            raise ModelError(key, f"{_shown(value)} found; expected keys: {', '.join(allowed)}")
-        self._key = key
-        self._values = value
-        for name in value:
-            if name not in allowed:
-                raise ModelError(
-                    self.key(str(name)), problem_with(self.key(str(name)), ", ".join(allowed))
-                )
-
-    def __contains__(self, name: str) -> bool:
-        """Whether the key is present."""
-        return name in self._values
-
-    @property
-    def place(self) -> str:
-        """The key of the mapping, such as ``contacts[0]``."""
-        return self._key
-
-    def key(self, name: str) -> str:
-        """The whole key of ``name``, such as ``contacts[0].gap``."""
-        return f"{self._key}.{name}" if self._key else name
-
-    def value(self, name: str) -> Value:
-        """The value of the key ``name``.
-
-        Raises:
-            ModelError: the mapping has no such key.
-        """
-        if name not in self._values:
-            raise ModelError(self.key(name), "is missing")
-        return self._values[name]
-
-    def text(self, name: str) -> str:
-        """The non-empty string at the key ``name``."""
-        value = self.value(name)
-        if not isinstance(value, str) or not value:
-            raise ModelError(self.key(name), f"{_shown(value)} found; expected a name")
-        if not value.isprintable():
-            raise ModelError(self.key(name), f"{value!r} has characters that cannot be printed")
-        return value
-
-    def number(self, name: str, default: float | None = None) -> float:
-        """The number at the key ``name``; ``default``, if given, where the key is absent."""
-        if default is not None and name not in self:
-            return default
-        return number(self.key(name), self.value(name))
-
-    def positive(self, name: str, *, or_zero: bool = False) -> float:
-        """The positive number at the key ``name``; zero is allowed with ``or_zero``."""
-        value = self.number(name)
-        if not (value > 0 or (or_zero and value == 0)):
-            wanted = "a number not below zero" if or_zero else "a positive number"
-            raise ModelError(self.key(name), f"is {value:g}; expected {wanted}")
-        return value
-
-    def items(self, name: str) -> list[tuple[str, Value]]:
-        """The members of a list with their keys; an empty list where the key is absent."""
-        if name not in self:
-            return []
-        value = self.value(name)
-        if not isinstance(value, list):
-            raise ModelError(self.key(name), f"{_shown(value)} found; expected a list")
-        return [(f"{self.key(name)}[{i}]", item) for i, item in enumerate(value)]
-
-    def vector(self, name: str, n: int, *, optional: bool = False, meaning: str = "") -> Vector:
-        """``n`` numbers, shape (n,); zeros where the key is absent and ``optional``.
-
-        ``meaning`` follows the expected number of numbers in errors.
-        """
-        if optional and name not in self:
-            return np.zeros(n)
-        return numbers(self.key(name), self.value(name), n, meaning)
-
-    def matrix(self, name: str, n: int, folder: Path | None) -> Matrix:
-        """An ``n`` x ``n`` matrix: rows, or the path of a ``.npy`` or Matrix Market file."""
-        value = self.value(name)
-        if isinstance(value, str):
-            return load_matrix(self.key(name), value, folder)
-        if not isinstance(value, list) or len(value) != n:
-            given = f"{len(value)} rows" if isinstance(value, list) else _shown(value)
-            raise ModelError(self.key(name), f"{given} found; expected {n} rows of {n} numbers")
-        return np.array([numbers(f"{self.key(name)}[{i}]", row, n) for i, row in enumerate(value)])
+class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Keys that stand together in a file; any other key there is an error."""
 
 
-def number(key: str, value: Value) -> float:
-    """``value`` as a finite float.
+def converted(value: Value, kind: type[T], key: str = "") -> T:
+    """A ``value`` of a file as a ``kind`` of the schema; ``key`` is its key in the file.
 
     Raises:
-        ModelError: ``value`` is not a number (a boolean is not), not finite or too large.
+        ModelError: one line that names the key, what was found and what is expected.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ModelError(key, f"{_shown(value)} found; expected a number")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ModelError(key, "is not finite; expected a number")
-    if abs(value) > LARGEST:
-        raise ModelError(key, f"is too large; expected at most {LARGEST:g}")
-    return float(value)
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        raise _explained(str(error), value, kind, key) from None
 
 
-def numbers(key: str, value: Value, n: int, meaning: str = "") -> Vector:
-    """``value`` as a vector of ``n`` numbers; ``meaning`` follows these words in errors.
+def _explained(message: str, found: Value, kind: object, key: str) -> ModelError:
+    """The error for a ``message`` of msgspec on the conversion of what was ``found``."""
+    parts = _MESSAGE.fullmatch(message)
+    problem, path = parts.groups(default="") if parts else (message, "")
+    for name, index in _STEP.findall(path):
+        at = _alternative(kind, found)
+        if isinstance(found, list):
+            kind, key, found = get_args(at)[0], f"{key}[{index}]", found[int(index)]
+        elif isinstance(found, Mapping):
+            kind = hints_of(at, include_extras=True)[name] if name else get_args(at)[-1]
+            # msgspec does not name the member of a mapping
+            member = name or next(k for k, value in found.items() if not _fits(value, kind))
+            key, found = f"{key}.{member}", found[member]
+    key = key.removeprefix(".")
+    if "`key`" in message and isinstance(found, Mapping):
+        names = [str(name) for name in found if not isinstance(name, str)]
+        return ModelError(f"{key}.{names[0]}".removeprefix("."), "is no text; expected a name")
+    if what := re.search("(unknown|missing required) field `(.*)`", problem, re.DOTALL):
+        key = f"{key}.{what[2]}".removeprefix(".")
+        if what[1] != "unknown":
+            return ModelError(key, "is missing")
+        known = ", ".join(_alternative(kind, found).__struct_fields__)
+        return ModelError(key, gone(key) or f"is not known here; expected one of {known}")
+    if isinstance(found, float | int) and not abs(found) <= LARGEST:
+        return ModelError(key, f"{shown(found)} found; expected a number of at most {LARGEST:g}")
+    wanted = gone(key) or gone(key, found)
+    return ModelError(key, wanted or f"{shown(found)} found; expected {_expected(kind)}")
+
+
+def _alternatives(kind: object) -> tuple[Any, ...]:
+    """The types of which a value may be one."""
+    if get_origin(kind) is Annotated:
+        return _alternatives(get_args(kind)[0])
+    if get_origin(kind) in (Union, types.UnionType):
+        return tuple(each for part in get_args(kind) for each in _alternatives(part))
+    return (kind,)
+
+
+def _structs(kind: object) -> list[type[Keys]]:
+    """Those of the alternatives that have keys."""
+    every = _alternatives(kind)
+    return [each for each in every if isinstance(each, type) and issubclass(each, Keys)]
+
+
+def _alternative(kind: object, found: Value) -> type[Keys]:
+    """The type of a list or a mapping, ``found``, among the alternatives."""
+    wanted = tuple if isinstance(found, list) else dict
+    containers = [each for each in _alternatives(kind) if get_origin(each) is wanted]
+    return (containers or _structs(kind))[0]
+
+
+def _fits(value: Value, kind: Any) -> bool:  # noqa: ANN401 (a type, as of a hint)
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        return False
+    return True
+
+
+def _expected(kind: object) -> str:
+    """What a value of some ``kind`` is, in words."""
+    if get_origin(kind) in (Union, types.UnionType):
+        parts = [each for each in get_args(kind) if each is not msgspec.UnsetType]
+        return " or ".join(map(_expected, parts))
+    if get_origin(kind) is Annotated:
+        plain, meta = get_args(kind)
+        return _expected(plain) + _bounds(meta)
+    if get_origin(kind) is Literal:
+        return " or ".join(map(str, get_args(kind)))
+    if structs := _structs(kind):
+        return f"keys: {', '.join(structs[0].__struct_fields__)}"
+    return _WORDS.get(get_origin(kind) or kind, "something else")
+
+
+def _bounds(meta: Meta) -> str:
+    """The bounds of a number or of the length of a list, in words; empty for the usual ones."""
+    if meta.min_length is not None:
+        return f" of {meta.min_length} to {meta.max_length or 'any number of'} members"
+    low, high = meta.ge if meta.gt is None else meta.gt, meta.le if meta.lt is None else meta.lt
+    if low is None or high is None or (low, high) == (-LARGEST, LARGEST):
+        return ""
+    if high == LARGEST:
+        return f" above {low:g}" if meta.ge is None else f" of at least {low:g}"
+    return f" from {low:g} to {'' if meta.lt is None else 'below '}{high:g}"
+
+
+def shown(value: Value) -> str:
+    """A value of a file in an error, shortened."""
+    text = "nothing" if value is None else repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def vector(
+    key: str, values: Sequence[float] | msgspec.UnsetType, n: int, meaning: str = ""
+) -> Vector:
+    """``n`` numbers, zeros where the key is absent, shape (n,); ``meaning`` is for errors.
 
     Raises:
-        ModelError: ``value`` is no list, has another length or a member that is not a number.
+        ModelError: another number of numbers.
     """
-    if not isinstance(value, list) or len(value) != n:
-        given = f"{len(value)} values" if isinstance(value, list) else _shown(value)
-        raise ModelError(key, f"{given} found; expected a list of {n} numbers{meaning}")
-    return np.array([number(f"{key}[{i}]", item) for i, item in enumerate(value)])
+    if isinstance(values, msgspec.UnsetType):
+        return np.zeros(n)
+    if len(values) != n:
+        problem = f"{len(values)} values found; expected a list of {n} numbers{meaning}"
+        raise ModelError(key, problem)
+    return np.array(values)
+
+
+def matrix(key: str, rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> Vector:
+    """Rows of numbers as an array of this ``shape``.
+
+    Raises:
+        ModelError: another number of rows, or of numbers in a row.
+    """
+    if len(rows) != shape[0]:
+        problem = f"{len(rows)} rows found; expected {shape[0]} rows of {shape[1]} numbers"
+        raise ModelError(key, problem)
+    for i, row in enumerate(rows):
+        if len(row) != shape[1]:
+            problem = f"{len(row)} values found; expected a list of {shape[1]} numbers"
+            raise ModelError(f"{key}[{i}]", problem)
+    return np.reshape(np.array(rows, dtype=np.float64), shape)
 
 
 def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Vector:
@@ -160,125 +198,42 @@ def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Ve
     if array.shape != shape:
         given = " x ".join(map(str, array.shape)) or "a single number"
         raise ModelError(key, f"has shape {given}; expected {what}")
-    sizes = np.abs(array)
-    if (sizes <= LARGEST).all():
+    if (np.abs(array) <= LARGEST).all():
         return array
-    unfit = sizes > LARGEST
-    why = f"is too large; expected at most {LARGEST:g}"
-    if not np.all(np.isfinite(array)):
-        unfit, why = ~np.isfinite(array), "is not finite; expected a number"
-    index = "".join(f"[{i}]" for i in np.argwhere(unfit)[0])
+    at = np.argwhere(~(np.abs(array) <= LARGEST))[0]
+    index = "".join(f"[{i}]" for i in at)
+    is_finite = math.isfinite(array[tuple(at)])
+    why = f"is too large; expected at most {LARGEST:g}" if is_finite else "is not finite"
     raise ModelError(f"{key}{index}", why)
 
 
-def check_names(key: str, names: Sequence[object], least: str = "") -> None:
-    """Check names that must differ; ``least`` says of what at least one is needed.
+def check_names(
+    key: str,
+    names: Sequence[object],
+    least: str = "",
+    *,
+    member: str = "",
+    taken: Collection[object] = (),
+) -> None:
+    """Check names that must differ.
+
+    Args:
+        key: of the list in errors.
+        names: in the order of the list.
+        least: of what at least one is needed; empty where there may be none.
+        member: the key of the name in a member of the list, such as ``.name``.
+        taken: names that none may have.
 
     Raises:
         ModelError: at ``key`` with the index of the wrong name.
     """
     for i, name in enumerate(names):
+        place = f"{key}[{i}]{member}"
         if not isinstance(name, str) or not name:
-            raise ModelError(f"{key}[{i}]", f"{name!r:.40} is not a name; give a non-empty string")
+            raise ModelError(place, f"{name!r:.40} is not a name; give a non-empty string")
         if not name.isprintable():
-            raise ModelError(f"{key}[{i}]", f"{name!r} has characters that cannot be printed")
-        if name in names[:i]:
-            raise ModelError(f"{key}[{i}]", f"{name!r} is taken already; names must differ")
+            raise ModelError(place, f"{name!r} has characters that cannot be printed")
+        if name in names[:i] or name in taken:
+            raise ModelError(place, f"{name!r} is taken already; names must differ")
     if least and not names:
         raise ModelError(key, f"is empty; expected {least}")
-
-
-def file_beside(key: str, relative: str, folder: Path | None) -> Path:
-    """The file that a model file in ``folder`` names.
-
-    Raises:
-        ModelError: the file does not exist, or the model was not read from a file.
-    """
-    if folder is None:
-        raise ModelError(key, f"names the file {relative}; only a model file on disk may do so")
-    path = folder / relative
-    if not path.is_file():
-        state = "is not a file" if path.exists() else "does not exist"
-        raise ModelError(key, f"names the file {path}, which {state}")
-    return path
-
-
-def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
-    """The dense matrix in a ``.npy`` or Matrix Market file, relative to the model file.
-
-    Raises:
-        ModelError: the file is missing, has another format or is not readable.
-    """
-    path = file_beside(key, relative, folder)
-    readers = {".npy": _read_npy, ".mtx": _read_matrix_market, ".gz": _read_matrix_market}
-    if (read := readers.get(path.suffix)) is None:
-        raise ModelError(key, f"names {relative}; expected a .npy or Matrix Market (.mtx) file")
-    try:
-        with open_input(path) as file:
-            return _real(read(file))
-    except Exception as error:  # noqa: BLE001 (numpy and scipy raise anything)
-        raise ModelError(key, f"{path} cannot be read: {error}") from None
-
-
-def _read_npy(file: BinaryIO) -> NDArray[np.generic]:
-    """The array in a file of numpy.
-
-    Raises:
-        ValueError: the file is none, or is not as large as its header says.
-    """
-    version = np.lib.format.read_magic(file)
-    read_header = (
-        np.lib.format.read_array_header_1_0
-        if version == (1, 0)
-        else np.lib.format.read_array_header_2_0
-    )
-    shape, _, kind = read_header(file)
-    begin = file.tell()
-    there, wanted = file.seek(0, 2) - begin, math.prod(shape) * kind.itemsize
-    if there < wanted:
-        raise ValueError(f"its header promises {wanted:.6g} bytes, {there} are there")
-    _check_size(math.prod(shape))
-    file.seek(0)
-    return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
-
-
-def _read_matrix_market(file: BinaryIO) -> NDArray[np.generic]:
-    """The matrix in a Matrix Market file, which may be compressed by gzip.
-
-    Raises:
-        ValueError: the matrix or its text is too large.
-    """
-    packed = file.read(2) == b"\x1f\x8b"
-    file.seek(0)
-    with gzip.open(file) if packed else file as source:
-        text = source.read(_MOST_TEXT + 1)
-    if len(text) > _MOST_TEXT:
-        raise ValueError(f"more than {_MOST_TEXT / 1e6:g} MB of text; write a .npy file")
-    rows, columns, *_ = scipy.io.mminfo(BytesIO(text))
-    _check_size(rows * columns)
-    matrix = scipy.io.mmread(BytesIO(text))
-    return np.asarray(matrix.toarray() if scipy.sparse.issparse(matrix) else matrix)
-
-
-def _check_size(count: int) -> None:
-    """Raise ValueError for a matrix of more numbers than that of any model."""
-    if count > _MOST_NUMBERS:
-        raise ValueError(f"{count:.6g} numbers; expected at most {_MOST_NUMBERS:g}")
-
-
-def _real(matrix: NDArray[np.generic]) -> Matrix:
-    """``matrix`` as floats.
-
-    Raises:
-        ValueError: ``matrix`` is not real; numpy would drop the imaginary part with a warning.
-    """
-    if matrix.dtype.kind not in "fiu":
-        raise ValueError(f"holds {matrix.dtype} values, expected real numbers")
-    return np.asarray(matrix, dtype=np.float64)
-
-
-def _shown(value: Value) -> str:
-    if value is None:
-        return "nothing"
-    shown = repr(value)
-    return shown if len(shown) <= 40 else shown[:37] + "..."

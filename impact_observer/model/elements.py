@@ -1,34 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """The element form of a model: bodies, springs, forces and stops along one line.
 
+Bodies and moving grounds are the axes of one space, in which each spring and each stop is a row.
 The elements are assembled to the matrices of the matrix form.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import UnsetType
 
 from impact_observer.errors import ModelError
-from impact_observer.model import sampled_files
-from impact_observer.model.document import Section, Value
+from impact_observer.model.document import check_names
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.ground_keys import (
-    GroundMotions,
-    live_names,
-    read_grounds,
-)
-from impact_observer.model.grounds import LiveNames
-from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
+from impact_observer.model.ground_keys import live_names, read_grounds
+from impact_observer.model.rebounds import read_rebound
+from impact_observer.model.sampled_files import read_samples
+from impact_observer.model.schema import ElementModel, Force, StopKeys
 from impact_observer.model.square_waves import SquareWaves
 from impact_observer.model.system import Contact, System, moving_system
 from impact_observer.states import Matrix, Vector
 
 GROUND = "ground"
-SQUARE = "square"
-"""The shape of a force that is not harmonic."""
-KEYS = ("bodies", "grounds", "springs", "forces", "forcing", "stops")
 KINDS = ("mass", "stiffness", "damping")
 
 
@@ -51,207 +46,156 @@ class Element:
 
 
 class _Line:
-    """The named bodies on the line; grounds have no coordinate, and ``ground`` is at rest."""
+    """The axes of n named bodies and k moving grounds; ``ground`` is at rest and has none."""
 
-    def __init__(self, names: list[str], motions: GroundMotions) -> None:
-        self.names = names
-        self.motions = motions
-        self.n = len(names)
+    def __init__(self, bodies: Sequence[str], grounds: Sequence[str]) -> None:
+        self.n, names = len(bodies), (*bodies, *grounds)
+        self.bodies, self.grounds = bodies, (GROUND, *grounds)
+        self._axes = dict(zip(names, np.eye(len(names)), strict=True))
+        self._axes[GROUND] = np.zeros(len(names))
 
-    def unit(self, key: str, body: Value) -> Vector:
-        """The unit vector of ``body``, zero for a ground."""
-        e = np.zeros(self.n)
-        if body == GROUND or body in self.motions.names:
-            return e
-        if not isinstance(body, str) or body not in self.names:
-            expected = ", ".join((*self.names, GROUND, *self.motions.names))
-            raise ModelError(key, f"{body!r} is not a body; expected one of {expected}")
-        e[self.names.index(body)] = 1.0
-        return e
+    def axis(self, key: str, name: str) -> Vector:
+        """The axis of a body or a ground, shape (n + k,)."""
+        if name not in self._axes:
+            wanted = ", ".join((*self.bodies, *self.grounds))
+            raise ModelError(key, f"{name!r} is not a body; expected one of {wanted}")
+        return self._axes[name]
 
-    def body(self, section: Section) -> Vector:
-        """The unit vector of a section's ``body``, which may not be the ground."""
-        e = self.unit(section.key("body"), section.value("body"))
-        if not e.any():
-            raise ModelError(section.key("body"), "is the ground, which does not move")
-        return e
+    def body(self, key: str, name: str) -> Vector:
+        """The axis of a body among bodies alone, shape (n,)."""
+        axis = self.axis(key, name)[: self.n]
+        if name in self.grounds:
+            raise ModelError(key, "is the ground, which does not move; expected a body")
+        return axis
 
-    def ground(self, section: Section) -> Vector:
-        """The unit vector of a section's ``ground``, shape (grounds,); zero for ``ground``."""
-        name = section.value("ground") if "ground" in section else GROUND
-        if name != GROUND and name not in self.motions.names:
-            expected = ", ".join((GROUND, *self.motions.names))
-            raise ModelError(
-                section.key("ground"), f"{name!r} is not a ground; expected one of {expected}"
-            )
-        return self.motions.unit(name)
-
-    def relative(self, section: Section) -> Vector:
-        """``q_b - q_a`` as a row, for a section's ``between: [a, b]``."""
-        key, pair = section.key("between"), section.value("between")
-        if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
-            raise ModelError(key, f"{pair!r} found; expected two different bodies [a, b]")
-        return self.unit(f"{key}[1]", pair[1]) - self.unit(f"{key}[0]", pair[0])
-
-    def moving(self, pair: Value) -> Vector:
-        """Factors of ground displacements in ``q_b - q_a`` of two ends, shape (grounds,)."""
-        assert isinstance(pair, list), "relative() has checked the pair"
-        return self.motions.unit(pair[1]) - self.motions.unit(pair[0])
+    def across(self, key: str, ends: Sequence[str]) -> Vector:
+        """``q_b - q_a`` of two ends [a, b] as a row, shape (n + k,)."""
+        if ends[0] == ends[1]:
+            raise ModelError(key, f"{list(ends)} found; expected two different bodies [a, b]")
+        return self.axis(f"{key}[1]", ends[1]) - self.axis(f"{key}[0]", ends[0])
 
 
 def assembled_system(
-    name: str, document: Section, folder: Path | None
+    model: ElementModel, folder: Path | None
 ) -> tuple[System, tuple[Element, ...]]:
-    """The system called ``name`` that a model file assembles, and its elements.
+    """The system that a model file assembles, and its elements.
 
-    ``folder`` is where the CSV file of a sampled forcing lies.
+    ``folder`` is where the CSV files lie.
 
     Raises:
         ModelError: naming the element's key.
     """
-    bodies = [Section(k, v, ("name", "mass")) for k, v in document.items("bodies")]
-    if not bodies:
-        raise ModelError("bodies", "is missing or empty; a system needs at least one body")
-    names = [body.text("name") for body in bodies]
-    line = _Line(names, read_grounds(document, (*names, GROUND), folder))
-    for i, (section, body) in enumerate(zip(bodies, line.names, strict=True)):
-        if body == GROUND:
-            raise ModelError(section.key("name"), f"{GROUND!r} is reserved; choose another name")
-        if body in line.names[:i]:
-            raise ModelError(section.key("name"), f"{body!r} is taken already; names must differ")
+    names = [body.name for body in model.bodies]
+    check_names("bodies", names, member=".name", taken=(GROUND,))
+    motions = read_grounds(model.grounds, (*names, GROUND), folder)
+    line, n = _Line(names, motions.names), len(names)
+    ends = [line.across(f"springs[{i}].between", s.between) for i, s in enumerate(model.springs)]
     elements = [
-        Element("mass", body, section.positive("mass"), np.outer(axis, axis))
-        for section, body, axis in zip(bodies, line.names, np.eye(line.n), strict=True)
+        Element("mass", body.name, body.mass, np.outer(axis, axis))
+        for body, axis in zip(model.bodies, np.eye(n), strict=True)
     ]
-    springs = [Section(*item, ("between", *KINDS[1:])) for item in document.items("springs")]
-    elements += _springs(line, springs)
-    matrices = {kind: np.zeros((line.n, line.n)) for kind in KINDS}
+    pushed = {kind: np.zeros((n, len(motions.names))) for kind in KINDS}
+    names_of_springs = labels(spring.between for spring in model.springs)
+    for label, spring, d in zip(names_of_springs, model.springs, ends, strict=True):
+        for kind, value in (("stiffness", spring.stiffness), ("damping", spring.damping)):
+            if not isinstance(value, UnsetType):
+                elements.append(Element(kind, label, value, np.outer(d[:n], d[:n])))
+                pushed[kind] -= value * np.outer(d[:n], d[n:])
+    matrices = {kind: np.zeros((n, n)) for kind in KINDS}
     for each in elements:
         matrices[each.kind] += each.value * each.matrix
-    forcing, live = _forcing(line, document, folder)
-    stops = [_stop(line, key, value) for key, value in document.items("stops")]
-    M, C, K = matrices["mass"], matrices["damping"], matrices["stiffness"]
+    forcing, inputs = _sum(line, model.forces)
+    if not isinstance(model.forcing, UnsetType):
+        if isinstance(model.forcing.sampled, UnsetType):
+            raise ModelError("forcing.sampled", "is missing")
+        forcing = replace(forcing, sampled=read_samples(model.forcing, names, folder))
+    stops = [_stop(line, f"stops[{i}]", stop) for i, stop in enumerate(model.stops)]
     contacts = tuple(contact for contact, _ in stops)
+    M, K, C = (matrices[kind] for kind in KINDS)
     try:
-        system = System(name, tuple(line.names), M, C, K, forcing, contacts)
-        if grounds := line.motions.names:
-            factors = np.reshape([factor for _, factor in stops], (-1, len(grounds)))
-            pushed = [_pushed(line, springs, kind) for kind in KINDS[1:]]
-            system = moving_system(system, line.motions.grounds(pushed[0], pushed[1], factors))
-        system = replace(system, live=live)
+        system = System(model.name, tuple(names), M, C, K, forcing, contacts)
+        if motions.names:
+            factors = np.reshape([factor for _, factor in stops], (-1, len(motions.names)))
+            grounds = motions.grounds(pushed["stiffness"], pushed["damping"], factors)
+            system = moving_system(system, grounds)
+        system = replace(system, live=live_names(inputs, n))
     except ModelError as error:
         raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
     return system, tuple(each for each in elements if each.value)
 
 
-def _springs(line: _Line, springs: list[Section]) -> Iterator[Element]:
-    directions = [line.relative(spring) for spring in springs]
-    names = labels([spring.value("between") for spring in springs])
-    for spring, direction, name in zip(springs, directions, names, strict=True):
-        dyad = np.outer(direction, direction)
-        yield Element("stiffness", name, spring.positive("stiffness", or_zero=True), dyad)
-        if "damping" in spring:
-            yield Element("damping", name, spring.positive("damping", or_zero=True), dyad)
-
-
-def _pushed(line: _Line, springs: list[Section], kind: str) -> Matrix:
-    """Forces by unit displacements, or speeds, of the grounds, shape (n, grounds)."""
-    forces = np.zeros((line.n, len(line.motions.names)))
-    for spring in springs:
-        moving = line.moving(spring.value("between"))
-        forces -= spring.number(kind, 0.0) * np.outer(line.relative(spring), moving)
-    return forces
-
-
-def labels(pairs: Iterable[Value]) -> list[str]:
+def labels(pairs: Iterable[Sequence[str]]) -> Iterator[str]:
     """Names of springs by their two ends; a second spring between the same ends ends in ``#2``."""
-    plain: list[str] = []
+    counts = dict[str, int]()
     for pair in pairs:
-        assert isinstance(pair, list), "a spring that was read has two ends"
-        plain.append("-".join(map(str, pair)))
-    counts = [plain[: i + 1].count(label) for i, label in enumerate(plain)]
-    return [
-        label if count == 1 else f"{label}#{count}"
-        for label, count in zip(plain, counts, strict=True)
-    ]
+        label = "-".join(pair)
+        counts[label] = counts.get(label, 0) + 1
+        yield label if counts[label] == 1 else f"{label}#{counts[label]}"
 
 
-def _forcing(
-    line: _Line, document: Section, folder: Path | None
-) -> tuple[Forcing, LiveNames | None]:
-    """``f(t)``, and the names of live forces and grounds; None where the model has none."""
-    forcing, inputs = _sum(line, document.items("forces"))
-    live = live_names(inputs, line.n)
-    if "forcing" not in document:
-        return forcing, live
-    section = Section("forcing", document.value("forcing"), sampled_files.KEYS)
-    section.value("sampled")
-    return replace(forcing, sampled=sampled_files.read_samples(section, line.names, folder)), live
-
-
-def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tuple[str, Vector]]]:
+def _sum(line: _Line, forces: Sequence[Force]) -> tuple[Forcing, list[tuple[str, Vector]]]:
     """The sum of known forces, and names and directions of live forces."""
     constant = np.zeros(line.n)
-    frequency, cosine, sine, inputs = list[float](), [], [], list[tuple[str, Vector]]()
+    waves, inputs = list[tuple[float, Vector, Vector]](), list[tuple[str, Vector]]()
     squares = list[tuple[float, float, Vector]]()
-    for key, value in forces:
-        kinds = ("constant", "amplitude", "frequency", "phase", "shape", "input")
-        force = Section(key, value, ("body", *kinds))
-        e = line.body(force)
-        if "input" in force:
-            for name in kinds[:-1]:
-                if name in force:
-                    raise ModelError(
-                        force.key(name), "stands beside input; write two forces instead"
-                    )
-            inputs.append((force.text("input"), e))
-            continue
-        if "constant" in force:
-            for name in kinds[1:-1]:
-                if name in force:
-                    raise ModelError(
-                        force.key(name), "stands beside constant; write two forces instead"
-                    )
-            constant += force.number("constant") * e
-            continue
-        amplitude, phase = force.number("amplitude"), force.number("phase", 0.0)
-        if "shape" in force:
-            if (shape := force.text("shape")) != SQUARE:
-                raise ModelError(force.key("shape"), f"{shape!r} found; expected {SQUARE}")
-            squares.append((force.positive("frequency"), phase, amplitude * e))
-            continue
-        frequency.append(force.positive("frequency"))
-        cosine.append(amplitude * np.cos(phase) * e)
-        sine.append(-amplitude * np.sin(phase) * e)
-    h = len(frequency)
+    for i, force in enumerate(forces):
+        key = f"forces[{i}]"
+        e = line.body(f"{key}.body", force.body)
+        phase = 0.0 if isinstance(force.phase, UnsetType) else force.phase
+        if not isinstance(force.input, UnsetType):
+            _check_alone(key, force, "input")
+            inputs.append((force.input, e))
+        elif not isinstance(force.constant, UnsetType):
+            _check_alone(key, force, "constant")
+            constant += force.constant * e
+        elif isinstance(force.amplitude, UnsetType):
+            raise ModelError(f"{key}.amplitude", "is missing; expected it, constant or input")
+        elif force.shape == "square":
+            squares.append((force.omega(key), phase, force.amplitude * e))
+        else:
+            cosine = force.amplitude * np.cos(phase) * e
+            waves.append((force.omega(key), cosine, -force.amplitude * np.sin(phase) * e))
     forcing = Forcing(
         constant,
-        np.array(frequency),
-        np.reshape(cosine, (h, line.n)),
-        np.reshape(sine, (h, line.n)),
+        np.array([each[0] for each in waves]),
+        np.reshape([each[1] for each in waves], (len(waves), line.n)),
+        np.reshape([each[2] for each in waves], (len(waves), line.n)),
         squares=SquareWaves.of_rows(squares) if squares else None,
     )
     return forcing, inputs
 
 
-def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
-    """A stop, and the factors of ground displacements in the gap, shape (grounds,)."""
-    keys = ("body", "limit", "side", "ground", "between", "gap")
-    stop = Section(key, value, ("name", *REBOUND_KEYS, *keys))
-    if "between" in stop:
-        for name in ("body", "limit", "side", "ground"):
-            if name in stop:
-                raise ModelError(stop.key(name), "does not go with between; expected gap")
-        direction, gap = line.relative(stop), stop.number("gap")
-        moving = line.moving(stop.value("between"))
+def _check_alone(key: str, force: Force, kind: str) -> None:
+    """Raise ModelError if other keys of a force stand beside the one of its ``kind``."""
+    for name in force.__struct_fields__:
+        if name not in ("body", kind) and not isinstance(getattr(force, name), UnsetType):
+            raise ModelError(f"{key}.{name}", f"stands beside {kind}; write two forces instead")
+
+
+def _stop(line: _Line, key: str, stop: StopKeys) -> tuple[Contact, Vector]:
+    """A stop, and the factors of ground displacements in the gap, shape (k,)."""
+    is_between = not isinstance(stop.between, UnsetType)
+    wanted = ("between", "gap") if is_between else ("body", "limit", "side")
+    for name in ("body", "limit", "side", "ground", "gap"):
+        is_given = not isinstance(getattr(stop, name), UnsetType)
+        if name in wanted and not is_given:
+            raise ModelError(f"{key}.{name}", "is missing")
+        if is_given and name not in wanted and not (name == "ground" and not is_between):
+            raise ModelError(f"{key}.{name}", f"does not go with {wanted[0]}")
+    if not isinstance(stop.between, UnsetType):
+        row, gap = line.across(f"{key}.between", stop.between), stop.gap
     else:
-        if "gap" in stop:
-            raise ModelError(stop.key("gap"), "does not go with body; expected limit and side")
-        side = stop.value("side")
-        if side not in ("above", "below"):
-            raise ModelError(stop.key("side"), f"{side!r} found; expected above or below")
-        sign = -1.0 if side == "above" else 1.0
-        direction, gap = sign * line.body(stop), -sign * stop.number("limit")
-        moving = -sign * line.ground(stop)
-    law = read_rebound(stop)
-    return Contact(stop.text("name"), direction, gap, law.nominal, law), moving
+        sign = -1.0 if stop.side == "above" else 1.0
+        axis = np.zeros_like(line.axis("", GROUND))
+        axis[: line.n] = line.body(f"{key}.body", str(stop.body))
+        if not isinstance(stop.ground, UnsetType):
+            if stop.ground not in line.grounds:
+                wanted_grounds = ", ".join(line.grounds)
+                problem = f"{stop.ground!r} is not a ground; expected one of {wanted_grounds}"
+                raise ModelError(f"{key}.ground", problem)
+            axis = axis - line.axis("", stop.ground)
+        assert not isinstance(stop.limit, UnsetType), "checked"
+        row, gap = sign * axis, -sign * stop.limit
+    assert not isinstance(gap, UnsetType), "checked"
+    law = read_rebound(f"{key}.restitution", stop.restitution)
+    return Contact(stop.name, row[: line.n], gap, law.nominal, law), row[line.n :]

@@ -1,60 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The keys of a model file, or of one of measurements, that version 0.4.0 took out."""
+"""Keys and values of files that version 0.4.0 took out."""
 
 import re
-from collections.abc import Mapping
 
+_BY_SPEED = "a table of restitutions by speed"
+_DRIVE = "the drive whose index pulses tell a force's phase"
+_OF_CONTACTS = {
+    "contact_time": "the duration of an impact",
+    "velocity_offset": "the speed of a stop that drives what it hits",
+    "restitution.speeds": _BY_SPEED,
+    "restitution.values": _BY_SPEED,
+}
 GONE = {
     "friction": "dry friction of guides",
     "grounds.motion.live": "a ground whose motion arrives live",
-    "forces.order": "the drive whose index pulses tell a force's phase",
-    "forcing.harmonics.order": "the drive whose index pulses tell a force's phase",
-    **{
-        f"{contacts}.{key}": purpose
-        for contacts in ("stops", "contacts")
-        for key, purpose in {
-            "contact_time": "the duration of an impact",
-            "velocity_offset": "the speed of a stop that drives what it hits",
-            "restitution.speeds": "a table of restitutions by speed",
-            "restitution.values": "a table of restitutions by speed",
-        }.items()
-    },
+    "forces.order": _DRIVE,
+    "forcing.harmonics.order": _DRIVE,
+    **{f"stops.{key}": purpose for key, purpose in _OF_CONTACTS.items()},
+    **{f"contacts.{key}": purpose for key, purpose in _OF_CONTACTS.items()},
     "measurements.gain": "the use of samples by laws without covariance",
+    "measurements.deviation: learn": "learn",
+    "unit: deg": "the conversion of degrees",
 }
-"""What each key was for, by its place without indices, such as ``stops.gap``."""
-_INSTEAD: dict[str, object] = {"restitution": 0.0, "motion": {"harmonics": []}}
-"""What stands where all keys of a mapping went, for the comparison of states."""
+"""What went, by its key without indices such as ``stops.gap``, or by key and value."""
 
 
-def problem_with(key: str, allowed: str) -> str:
-    """Why ``key``, such as ``stops[0].gap``, cannot stand where ``allowed`` keys are expected."""
-    if (purpose := GONE.get(re.sub(r"\[\d+\]", "", key))) is not None:
-        return f"{purpose} went in 0.4.0; impact_observer 0.3.0 has it; expected no such key"
-    return f"is not known here; expected one of {allowed}"
+def gone(key: str, value: object = None) -> str:
+    """Why ``key``, such as ``stops[0].gap``, cannot have its ``value``; empty where nothing went.
 
-
-def problem_with_unit(found: str, wanted: str) -> str:
-    """Why ``unit`` cannot be ``found``, where ``wanted`` units are expected."""
-    if found == "deg":
-        went = "the conversion of degrees went in 0.4.0; impact_observer 0.3.0 has it"
-        return f"{went}; expected {wanted}"
-    return f"{found!r} found; expected {wanted}"
-
-
-def without_gone(document: object, place: str = "") -> object:
-    """A ``document`` for the comparison of states: without gone keys and deviations.
-
-    Energies of differences, names of coordinates and names of contacts are those of the whole
-    document, which stands at ``place``.
+    Args:
+        key: the key in the file.
+        value: what stands there; None asks for the key alone.
     """
-    if isinstance(document, list):
-        return [without_gone(each, place) for each in document]
-    if not isinstance(document, Mapping):
-        return document
-    places = {key: f"{place}.{key}".removeprefix(".") for key in document}
-    kept = {
-        key: without_gone(each, places[key])
-        for key, each in document.items()
-        if places[key] not in {*GONE, "uncertainty"}
-    }
-    return kept if kept or not document else _INSTEAD[place.rpartition(".")[2]]
+    place = re.sub(r"\[\d+\]", "", key)
+    purpose = GONE.get(place if value is None else f"{place}: {value}")
+    return f"{purpose} went in 0.4.0; impact_observer 0.3.0 has it" if purpose else ""

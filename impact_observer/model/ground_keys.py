@@ -6,18 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+import msgspec
 import numpy as np
 import scipy
+from msgspec import UnsetType
 
 from impact_observer.errors import ModelError
-from impact_observer.model import sampled_files
-from impact_observer.model.document import Section, Value
+from impact_observer.model.document import Value, check_names
 from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import Grounds, LiveNames, motion_of
+from impact_observer.model.sampled_files import csv_text, read_table
+from impact_observer.model.schema import Ground, Wave
 from impact_observer.states import Matrix, Vector
 
-KINDS = ("harmonics", "sampled")
 _DISPLACEMENT = "displacement"
 Harmonic: TypeAlias = tuple[int, float, float, float]
 """Ground, amplitude (m), frequency (rad/s) and phase (rad)."""
@@ -39,10 +41,6 @@ class GroundMotions:
     samples: Samples | None = None
     written: tuple[Mapping[str, Value], ...] = ()
 
-    def unit(self, name: Value) -> Vector:
-        """The unit vector of a ground, shape (k,); zero for any other name."""
-        return np.array([float(each == name) for each in self.names])
-
     def grounds(self, stiffness: Matrix, damping: Matrix, factors: Matrix) -> Grounds:
         """The grounds with their effects on a system; the shapes are those of ``Grounds``."""
         motion = motion_of(len(self.names), self.harmonics)
@@ -52,43 +50,38 @@ class GroundMotions:
         return Grounds(self.names, motion, owner, stiffness, damping, factors, self.written)
 
 
-def read_grounds(document: Section, taken: Sequence[str], folder: Path | None) -> GroundMotions:
-    """The grounds of a ``document``, whose names may not be ``taken``.
+def read_grounds(
+    grounds: Sequence[Ground], taken: Sequence[str], folder: Path | None
+) -> GroundMotions:
+    """The ``grounds`` of a model file, whose names may not be ``taken``.
 
     Raises:
         ModelError: a value is wrong; the error names the key, or file, line and column.
     """
-    items = [Section(key, value, ("name", "motion")) for key, value in document.items("grounds")]
-    names: list[str] = []
-    for item in items:
-        name = item.text("name")
-        if name in (*taken, *names):
-            raise ModelError(item.key("name"), f"{name!r} is taken already; names must differ")
-        names.append(name)
+    names = [each.name for each in grounds]
+    check_names("grounds", names, member=".name", taken=taken)
     harmonics: list[Harmonic] = []
     sampled: Samples | None = None
     written: list[Mapping[str, Value]] = []
-    for k, item in enumerate(items):
-        motion = Section(item.key("motion"), item.value("motion"), KINDS)
-        if sum(kind in motion for kind in KINDS) != 1:
-            raise ModelError(item.key("motion"), f"expected one of {', '.join(KINDS)}")
-        if "harmonics" in motion:
-            harmonics += _harmonics(k, motion)
-            written.append({"name": names[k], "motion": {"harmonics": motion.value("harmonics")}})
-            continue
-        table = sampled_files.read_table(motion, "sampled", (_DISPLACEMENT,), folder)
-        spline = _clamped(motion.key("sampled"), table).mapped(np.eye(len(items))[:, [k]])
-        sampled = spline if sampled is None else sampled.plus(spline)
-        text = sampled_files.csv_text(table, (_DISPLACEMENT,))
-        written.append({"name": names[k], "motion": {"sampled": text}})
+    for k, ground in enumerate(grounds):
+        key, waves, table = f"grounds[{k}].motion", ground.motion.harmonics, ground.motion.sampled
+        own = msgspec.to_builtins(ground)
+        if isinstance(waves, UnsetType) == isinstance(table, UnsetType):
+            raise ModelError(key, "expected one of harmonics, sampled")
+        if not isinstance(waves, UnsetType):
+            harmonics += _harmonics(k, f"{key}.harmonics", waves)
+        elif not isinstance(table, UnsetType):
+            rows = read_table(f"{key}.sampled", table, (_DISPLACEMENT,), folder)
+            spline = _clamped(f"{key}.sampled", rows).mapped(np.eye(len(grounds))[:, [k]])
+            sampled = spline if sampled is None else sampled.plus(spline)
+            own["motion"]["sampled"] = csv_text(rows, (_DISPLACEMENT,))
+        written.append(own)
     return GroundMotions(tuple(names), tuple(harmonics), sampled, tuple(written))
 
 
-def _harmonics(ground: int, motion: Section) -> Iterator[Harmonic]:
-    for key, value in motion.items("harmonics"):
-        each = Section(key, value, ("amplitude", "frequency", "phase"))
-        frequency = each.positive("frequency")
-        yield ground, each.number("amplitude"), frequency, each.number("phase", 0.0)
+def _harmonics(ground: int, key: str, waves: Sequence[Wave]) -> Iterator[Harmonic]:
+    for i, wave in enumerate(waves):
+        yield ground, wave.amplitude, wave.omega(f"{key}[{i}]"), wave.phase
 
 
 def _clamped(key: str, table: Matrix) -> Samples:
@@ -108,10 +101,7 @@ def _clamped(key: str, table: Matrix) -> Samples:
     return Samples.of_jets(time, jets)
 
 
-def live_names(
-    inputs: Sequence[tuple[str, Vector]],
-    n: int,
-) -> LiveNames | None:
+def live_names(inputs: Sequence[tuple[str, Vector]], n: int) -> LiveNames | None:
     """The live signals of a model, None without any; directions of equal input names add up."""
     names = tuple(dict.fromkeys(name for name, _ in inputs))
     if not names:

@@ -1,70 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model file: a linear system or a robot, and the initial state of the plant."""
 
-import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedSeq
-from ruamel.yaml.error import YAMLError
-from ruamel.yaml.representer import SafeRepresenter
+from msgspec import UnsetType
 
 from impact_observer.errors import ModelError, NotLinearError
-from impact_observer.model import elements, sampled_files
 from impact_observer.model.contact_sensors import KEY as SENSORS
-from impact_observer.model.contact_sensors import (
-    NO_SENSORS,
-    ContactSensors,
-    read_contact_sensors,
-)
+from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors, contact_sensors
 from impact_observer.model.declared_deviations import (
-    read_robot_uncertainty,
+    PlainDocument,
     with_deviations,
+    with_robot_deviations,
     without_deviations,
 )
-from impact_observer.model.document import Section, Value
-from impact_observer.model.elements import Element
-from impact_observer.model.forcing import Forcing
-from impact_observer.model.forcing_keys import KEYS as FORCING_KEYS
-from impact_observer.model.forcing_keys import read_forcing, written_forcing
-from impact_observer.model.free_parameters import is_observed
-from impact_observer.model.gone_keys import problem_with_unit, without_gone
-from impact_observer.model.ground_keys import (
-    GroundMotions,
-    live_names,
-    read_grounds,
+from impact_observer.model.document import (
+    Keys,
+    NotNegative,
+    Positive,
+    Value,
+    converted,
+    vector,
 )
-from impact_observer.model.hertz import HERTZ, convert
+from impact_observer.model.elements import Element, assembled_system
+from impact_observer.model.free_parameters import is_observed
+from impact_observer.model.matrices import matrix_form, system_of_matrices
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
-from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.robot_description import RobotDescription, one_of_each
-from impact_observer.model.robot_file import ROBOT_KEYS, read_robot
-from impact_observer.model.square_waves import SquareWaves
+from impact_observer.model.robot_file import read_robot
+from impact_observer.model.sampled_files import written_samples
+from impact_observer.model.schema import Common, ElementModel, MatrixModel, RobotModel, State
 from impact_observer.model.system import (
     LARGEST_STATE,
     UNITS,
     UNKNOWN_UNIT,
-    Contact,
     System,
-    moving_system,
 )
 from impact_observer.model.time_shift import NO_SHIFT, TimeShift
-from impact_observer.resources import MOST_BYTES, read_file_or_sample
-from impact_observer.states import Matrix, Vector, frozen
+from impact_observer.model.yaml_text import load_yaml, yaml_text
+from impact_observer.resources import read_file_or_sample
+from impact_observer.states import Vector, frozen
 
-_MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "grounds", "forcing", "contacts")
-_NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""Exceptions of ruamel: its own errors, and others for values such as ``2020-13-45``."""
 VERDICT = FITS, RESIDUAL, SHIFT, INTERVAL = ("fits", "residual", "shift", "interval")
 """Keys of the provenance by which ``identify`` says whether a model fits, and what is left: the
 rms of the shifts, s, and where these are no errors of the clock a ``TimeShift``.
 """
-_COMMON_KEYS = ("name", "unit", "initial_state", "uncertainty", "provenance", SENSORS)
+
+
+class _Verdict(Keys, frozen=True):
+    """The verdict of ``identify`` in a provenance."""
+
+    fits: bool = True
+    residual: NotNegative = 0.0
+    shift: NotNegative = NO_SHIFT.largest
+    interval: Positive = NO_SHIFT.interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +126,7 @@ class Model:
         name = f"{self.source or self.subject.name} does not fit the impacts"
         if RESIDUAL not in self.provenance:
             return f"{name} to which it was fitted: no motion explains these; see docs/troubles.md"
-        left = self._verdict.number(RESIDUAL, 0.0)
+        left = _verdict(self.provenance).residual
         return (
             f"{name} from which it was identified: shifts of {left:.2g} s rms are left, and"
             f" deviations contain one of {self.shift.largest:.2g} s; see docs/troubles.md"
@@ -156,11 +150,8 @@ class Model:
     @property
     def shift(self) -> TimeShift:
         """By how much the motion may be early or late, as the fit of the model has shown."""
-        return TimeShift(*map(self._verdict.number, (SHIFT, INTERVAL), NO_SHIFT))
-
-    @property
-    def _verdict(self) -> Section:
-        return _verdict(self.provenance)
+        verdict = _verdict(self.provenance)
+        return TimeShift(verdict.shift, verdict.interval)
 
     def initial_state(self) -> tuple[Vector, Vector]:
         """The plant's state at the epoch.
@@ -194,26 +185,17 @@ class Model:
         if self.sensors.by_contact:
             document[SENSORS] = self.sensors.document
         if provenance or self.provenance:
-            verdict = {key: self._verdict.value(key) for key in VERDICT if key in self._verdict}
+            own = VERDICT if FITS in self.provenance else ()
+            verdict = {key: self.provenance[key] for key in own if key in self.provenance}
             document["provenance"] = {**(provenance or self.provenance), **verdict}
-        stream = io.StringIO()
-        yaml = YAML(typ="safe", pure=True)
-        yaml.Representer = _Representer
-        yaml.default_flow_style = None
-        yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-        yaml.width = 99
-        yaml.dump(document, stream)
-        return stream.getvalue()
+        return yaml_text(document)
 
     def _form(self) -> dict[str, Value]:
         """The keys of a linear system."""
-        form = dict(self.element_form or _matrix_form(self.system))
+        form = dict(self.element_form or matrix_form(self.system))
         if self.system.unit != _unit_of(elements=bool(self.element_form)):
             form["unit"] = self.system.unit
-        if self.element_form and "forcing" in form:  # the form may name a file
-            samples = self.system.own_forcing.sampled
-            form["forcing"] = sampled_files.written_samples(samples, self.system.coordinates)
-        if self.system.frame is not None:
+        if self.element_form and self.system.frame is not None:
             form["grounds"] = list(self.system.frame.grounds.written)
         return form
 
@@ -221,71 +203,6 @@ class Model:
 def _unit_of(*, elements: bool) -> str:
     """The unit of coordinates for a file of this form without the key ``unit``."""
     return UNITS[0] if elements else UNKNOWN_UNIT
-
-
-class _Representer(SafeRepresenter):
-    """Writes text of several lines as a block."""
-
-    def represent_str(self, data: str) -> Value:
-        """A block scalar for text with a line end, otherwise the default."""
-        style = "|" if "\n" in data else None
-        return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
-
-
-_Representer.add_representer(str, _Representer.represent_str)
-
-
-def _matrix_form(s: System) -> dict[str, Value]:
-    moving = [] if s.frame is None else s.frame.grounds.factors.tolist()
-    return {
-        "coordinates": list(s.coordinates),
-        "mass": s.M.tolist(),
-        "damping": s.C.tolist(),
-        "stiffness": s.K.tolist(),
-        "forcing": _forcing_of(s),
-        "contacts": [
-            {
-                "name": c.name,
-                "direction": c.direction.tolist(),
-                "gap": c.gap,
-                **s.rebounds[i].document,
-                **({"motion": _motion_of(s, moving[i])} if moving else {}),
-            }
-            for i, c in enumerate(s.contacts)
-        ],
-    }
-
-
-def _motion_of(s: System, factors: Sequence[float]) -> Value:
-    names = s.frame.grounds.names if s.frame is not None else ()
-    return [
-        {"ground": name, "factor": factor}
-        for name, factor in zip(names, factors, strict=True)
-        if factor
-    ]
-
-
-def _forcing_of(system: System) -> Value:
-    forcing = system.own_forcing
-    document = written_forcing(forcing, system.coordinates)
-    if (waves := forcing.squares) is not None:
-        parts = (waves.frequency.tolist(), waves.phase.tolist(), waves.force.tolist())
-        document["squares"] = [
-            {"frequency": frequency, "phase": phase, "amplitude": amplitude}
-            for frequency, phase, amplitude in zip(*parts, strict=True)
-        ]
-    if system.frame is not None:
-        grounds = system.frame.grounds
-        document["grounds"] = [
-            {"name": name, "stiffness": one.tolist(), "damping": other.tolist()}
-            for name, one, other in zip(
-                grounds.names, grounds.stiffness.T, grounds.damping.T, strict=True
-            )
-        ]
-    if system.live is not None:
-        inputs = zip(system.live.inputs, system.live.directions.T.tolist(), strict=True)
-        document["inputs"] = [{"name": name, "direction": each} for name, each in inputs]
-    return document
 
 
 class ModelText(NamedTuple):
@@ -309,23 +226,9 @@ def model_text(source: str | Path) -> ModelText:
         UsageError: the file does not exist.
     """
     path, text = read_file_or_sample(source, "config", "a model file, or a sample model")
-    return ModelText(_in_rad_per_s(text, str(path)), str(path), path.parent)
+    return ModelText(text, str(path), path.parent)
 
 
-def _in_rad_per_s(text: str, source: str) -> str:
-    """The ``text`` of a model file without frequencies in Hz; errors name the ``source``."""
-    if not _HERTZ.search(text):
-        return text
-    try:
-        load_yaml(text)  # which names what is no YAML
-        yaml, document = _round_trip(text)
-        convert(document)
-    except ModelError as error:
-        raise error.in_file(source) from None
-    return _dumped(yaml, document)
-
-
-_HERTZ = re.compile(rf"\b{HERTZ}\b")
 _MASSES = re.compile(r"\bmass *:")
 """What each body of a model file has, to be counted before the file is read as YAML."""
 _MOST_BODIES = 10_000
@@ -342,12 +245,8 @@ def read_model(source: str | Path) -> Model:
     return parse_model(*model_text(source))
 
 
-def parse_model(
-    text: str, source: str, folder: Path | None = None, *, comparing: bool = False
-) -> Model:
+def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
     """Read a model from its ``text``; the arguments are those of ``ModelText``.
-
-    Keys that went in 0.4.0 do not count if the model serves only for ``comparing`` states.
 
     Raises:
         ModelError: one line that names ``source``, the key and the expected value.
@@ -355,282 +254,91 @@ def parse_model(
     try:
         if (count := len(_MASSES.findall(text))) > _MOST_BODIES:
             raise ModelError("bodies", f"{count} found; expected at most {_MOST_BODIES}")
-        document = load_yaml(_in_rad_per_s(text, source))
-        document = without_gone(document) if comparing else document
-        return replace(_model(document, folder), source=source)
+        return replace(_model(load_yaml(text), folder), source=source)
     except ModelError as error:
         raise error.in_file(source) from None
 
 
-def load_yaml(text: str) -> Value:
-    """The document in a YAML text.
-
-    Raises:
-        ModelError: ``text`` is not YAML, or too long, also with its aliases written out; the error
-            has no key.
-    """
-    if len(text) > MOST_BYTES:
-        raise ModelError("", f"{len(text)} characters found; expected at most {MOST_BYTES}")
-    try:
-        document: Value = YAML(typ="safe", pure=True).load(text)
-    except _NOT_YAML as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        problem = str(getattr(error, "problem", None) or error).splitlines()[0]
-        raise ModelError("", f"is not YAML{where}: {problem}") from None
-    if (count := _written_out(document, {})) > len(text) + _MOST_REPEATED:
-        problem = f"{count:.3g} values with its aliases written out; expected fewer"
-        raise ModelError("", problem)
-    return document
-
-
-def _written_out(value: Value, counts: dict[int, int]) -> int:
-    """Number of values in a document, aliases written out; ``counts`` has lists and mappings.
-
-    Raises:
-        ModelError: a value contains itself.
-    """
-    if not isinstance(value, (list, Mapping)):
-        return 1
-    if id(value) not in counts:
-        counts[id(value)] = -1  # until all that it contains is counted
-        members = value if isinstance(value, list) else [*value, *value.values()]
-        counts[id(value)] = 1 + sum(_written_out(each, counts) for each in members)
-    if (count := counts[id(value)]) < 0:
-        raise ModelError("", "a value contains itself by its alias; write it out")
-    return count
-
-
-_MOST_REPEATED = 100_000
-"""Most values that aliases may add, beside one for each character."""
-
-
-def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
-    """The ``text`` of a model file with changed values; comments and layout stay.
-
-    The keys of ``changes`` are paths in the file, such as ``("stops", 0, "limit")``. The index
-    behind the last member of a list appends one. A deviation beside a changed value goes.
-    """
-    yaml, document = _round_trip(text)
-    for (*path, last), found in changes.items():
-        place, value = document, _with_rows(found)
-        for part in path:
-            place = place[part]
-        if isinstance(place, list) and last == len(place):
-            place.append(value)
-            continue
-        place[last] = value
-        if last == "value":
-            place.pop("deviation", None)
-    return _dumped(yaml, document)
-
-
-def _round_trip(text: str) -> tuple[YAML, Any]:
-    """A YAML text with its comments and layout, and what writes them again."""
-    yaml = YAML()
-    yaml.width = 1_000_000  # ruamel breaks longer lines
-    yaml.preserve_quotes = True
-    if re.search(r"^ +- ", text, re.MULTILINE):
-        yaml.indent(sequence=4, offset=2)
-    return yaml, yaml.load(text)
-
-
-def _dumped(yaml: YAML, document: Value) -> str:
-    stream = io.StringIO()
-    yaml.dump(document, stream)
-    return stream.getvalue()
-
-
-def _with_rows(value: Value) -> Value:
-    """``value`` with each list of numbers in one line."""
-    if isinstance(value, Mapping):
-        return {key: _with_rows(each) for key, each in value.items()}
-    if not isinstance(value, list):
-        return value
-    row = CommentedSeq(map(_with_rows, value))
-    if not any(isinstance(each, list | Mapping) for each in value):
-        row.fa.set_flow_style()
-    return row
-
-
 def _model(document: Value, folder: Path | None) -> Model:
     if not isinstance(document, Mapping):
-        raise ModelError("", "is not a model: expected a YAML mapping with name, mass, ...")
-    if "urdf" in document:
-        return _robot_model(document, folder)
-    form = elements.KEYS if "bodies" in document else _MATRIX_KEYS
-    other = [k for k in (*elements.KEYS, *_MATRIX_KEYS) if k in document and k not in form]
-    if other and any(k in document for k in form):
-        raise ModelError(
-            other[0], f"does not go with {form[0]}; write matrices or elements, not both"
-        )
+        raise ModelError("", "is not a model: expected a YAML mapping with name, bodies, ...")
     plain = without_deviations(document)
-    section = Section("", plain.document, (*_COMMON_KEYS, *form))
-    name = section.text("name")
+    if "urdf" in document:
+        return _robot_model(plain, folder)
+    kind: type[ElementModel | MatrixModel] = ElementModel if "bodies" in document else MatrixModel
+    other = MatrixModel if "bodies" in document else ElementModel
+    for key in document:
+        if key in other.__struct_fields__ and key not in kind.__struct_fields__:
+            raise ModelError(str(key), "does not go with the other keys: matrices or elements")
+    given = converted(plain.document, kind)
     parts: tuple[Element, ...] = ()
-    written: dict[str, Value] = {}
-    if form is elements.KEYS:
-        system, parts = elements.assembled_system(name, section, folder)
-        written = {key: plain.document[key] for key in form if key in document}
-        written.pop("grounds", None)
+    form: dict[str, Value] = {}
+    if isinstance(given, ElementModel):
+        system, parts = assembled_system(given, folder)
+        form = _own_keys(plain.document)
+        if not isinstance(given.forcing, UnsetType):
+            form["forcing"] = written_samples(system.own_forcing.sampled, system.coordinates)
     else:
-        system = _system_of_matrices(name, section, folder)
-    unit = _unit_of(elements=form is elements.KEYS)
-    if "unit" in section and (unit := section.text("unit")) not in UNITS:
-        wanted = f"{' or '.join(UNITS)}, of the coordinates"
-        raise ModelError("unit", problem_with_unit(unit, wanted))
+        system = system_of_matrices(given, folder)
+    unit = _unit_of(elements=bool(form)) if isinstance(given.unit, UnsetType) else given.unit
     system = replace(system, unit=unit)
-    position, velocity = _initial_state(section, system)
-    known = read_uncertainty(section, system, parts)
+    uncertainty = with_deviations(read_uncertainty(given.uncertainty), plain, system, parts)
     return Model(
         system,
-        position,
-        velocity,
-        _provenance(section),
+        *_start(given.initial_state, system),
+        _provenance(given.provenance),
         elements=parts,
-        element_form=written,
-        uncertainty=with_deviations(known, plain, system, parts),
-        sensors=read_contact_sensors(section, system.contact_names),
+        element_form=form,
+        uncertainty=uncertainty,
+        sensors=contact_sensors(given.sensors, system.contact_names),
     )
 
 
-def _robot_model(document: Mapping[str, Value], folder: Path | None) -> Model:
+def _robot_model(plain: PlainDocument, folder: Path | None) -> Model:
     """A model with the key ``urdf``."""
-    plain = without_deviations(document)
-    section = Section("", plain.document, ("name", *ROBOT_KEYS, *_COMMON_KEYS[2:]))
-    robot = read_robot(section.text("name"), section, folder)
+    given = converted(plain.document, RobotModel)
+    robot = read_robot(given, _own_keys(plain.document), folder)
+    meaning = one_of_each(robot.joints, robot.urdf)
     return Model(
         None,
-        *_state_parts(section, robot.n, one_of_each(robot.joints, robot.urdf)),
-        _provenance(section),
-        uncertainty=read_robot_uncertainty(section, plain, robot),
+        *_state(given.initial_state, robot.n, meaning),
+        _provenance(given.provenance),
+        uncertainty=with_robot_deviations(read_uncertainty(given.uncertainty), plain, robot),
         robot=robot,
-        sensors=read_contact_sensors(section, robot.contact_names),
+        sensors=contact_sensors(given.sensors, robot.contact_names),
     )
 
 
-def _provenance(section: Section) -> dict[str, Value]:
-    provenance = section.value("provenance") if "provenance" in section else {}
-    if not isinstance(provenance, Mapping):
-        raise ModelError("provenance", f"{provenance!r} found; expected keys and values")
-    if not isinstance(fits := provenance.get(FITS, True), bool):
-        raise ModelError(f"provenance.{FITS}", f"{fits!r} found; expected true or false")
-    verdict = _verdict(provenance)
-    for key in (each for each in VERDICT[1:] if each in verdict):
-        verdict.positive(key, or_zero=key != INTERVAL)
-    return {str(key): value for key, value in provenance.items()}
+def _own_keys(document: Mapping[str, Value]) -> dict[str, Value]:
+    """The keys of the system itself, without grounds, as they stand in a file."""
+    beside = (*Common.__struct_fields__, "unit", "grounds")
+    return {key: value for key, value in document.items() if key not in beside}
 
 
-def _verdict(provenance: Mapping[str, Value]) -> Section:
+def _provenance(given: Mapping[str, Value]) -> Mapping[str, Value]:
+    """The provenance, of which a verdict is checked."""
+    _verdict(given)
+    return given
+
+
+def _verdict(provenance: Mapping[str, Value]) -> _Verdict:
     """The verdict of ``identify`` in a provenance; without ``fits`` no key is one of a verdict."""
-    return Section("provenance", provenance if FITS in provenance else {}, [*provenance])
+    if FITS not in provenance:
+        return _Verdict()
+    own = {key: provenance[key] for key in VERDICT if key in provenance}
+    return converted(own, _Verdict, "provenance")
 
 
-def _system_of_matrices(name: str, section: Section, folder: Path | None) -> System:
-    coordinates = section.items("coordinates")
-    if not coordinates:
-        raise ModelError("coordinates", "is missing or empty; expected a list of names")
-    for key, value in coordinates:
-        if not isinstance(value, str):
-            raise ModelError(key, f"{value!r} is not a name; give a string")
-    names = tuple(str(value) for _, value in coordinates)
-    n = len(names)
-    section.value("contacts")
-    motions = read_grounds(section, (), folder)
-    keys = ("name", "direction", "gap", *REBOUND_KEYS, "motion")
-    contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
-    forcing, pushed, inputs = _forcing(section, names, motions, folder)
-    system = System(
-        name=name,
-        coordinates=names,
-        M=section.matrix("mass", n, folder),
-        C=section.matrix("damping", n, folder),
-        K=section.matrix("stiffness", n, folder),
-        forcing=forcing,
-        contacts=tuple(_contact(contact, n) for contact in contacts),
-    )
-    factors = [_factors(each, motions) for each in contacts]
-    if motions.names:
-        moving = np.reshape(factors, (-1, len(motions.names)))
-        system = moving_system(system, motions.grounds(*pushed, moving))
-    return replace(system, live=live_names(inputs, n))
-
-
-def _forcing(
-    section: Section, coordinates: Sequence[str], motions: GroundMotions, folder: Path | None
-) -> tuple[Forcing, tuple[Matrix, Matrix], list[tuple[str, Vector]]]:
-    """``f(t)``, forces by grounds, and live forces.
-
-    The forces by unit displacements and by unit speeds of grounds have shape (n, k) each. A live
-    force is a name and a direction, shape (n,).
-    """
-    n, pushed = len(coordinates), np.zeros((2, len(motions.names), len(coordinates)))
-    if "forcing" not in section:
-        return Forcing.none(n), (pushed[0].T, pushed[1].T), []
-    keys = (*FORCING_KEYS, "squares", "grounds", "inputs")
-    forcing = Section("forcing", section.value("forcing"), keys)
-    for key, value in forcing.items("grounds"):
-        ground = Section(key, value, ("name", "stiffness", "damping"))
-        which = _known(ground, "name", motions)
-        for each, kind in zip(pushed, ("stiffness", "damping"), strict=True):
-            each[which] += ground.vector(kind, n, optional=True)
-    own = replace(read_forcing(forcing, coordinates, folder), squares=_squares(forcing, n))
-    items = [Section(*item, ("name", "direction")) for item in forcing.items("inputs")]
-    inputs = [(each.text("name"), each.vector("direction", n)) for each in items]
-    return own, (pushed[0].T, pushed[1].T), inputs
-
-
-def _squares(forcing: Section, n: int) -> SquareWaves | None:
-    """The square waves on ``n`` coordinates; None without any."""
-    waves = [
-        Section(key, value, ("frequency", "phase", "amplitude"))
-        for key, value in forcing.items("squares")
-    ]
-    rows = [
-        (each.positive("frequency"), each.number("phase", 0.0), each.vector("amplitude", n))
-        for each in waves
-    ]
-    return SquareWaves.of_rows(rows) if rows else None
-
-
-def _known(section: Section, key: str, motions: GroundMotions) -> int:
-    """The index of the ground that a section names."""
-    name = section.text(key)
-    if name not in motions.names:
-        expected = ", ".join(motions.names) or "none, as the model has no grounds"
-        raise ModelError(section.key(key), f"{name!r} is not a ground; expected {expected}")
-    return motions.names.index(name)
-
-
-def _contact(contact: Section, n: int) -> Contact:
-    law = read_rebound(contact)
-    return Contact(
-        contact.text("name"),
-        contact.vector("direction", n),
-        contact.number("gap"),
-        law.nominal,
-        law,
-    )
-
-
-def _factors(contact: Section, motions: GroundMotions) -> Vector:
-    """Factors of ground displacements in the gap of a contact, shape (k,)."""
-    factors = np.zeros(len(motions.names))
-    for key, value in contact.items("motion"):
-        part = Section(key, value, ("ground", "factor"))
-        factors[_known(part, "ground", motions)] += part.number("factor")
-    return factors
-
-
-def _state_parts(
-    section: Section, n: int, meaning: str = ""
+def _state(
+    given: State | UnsetType, n: int, meaning: str = ""
 ) -> tuple[Vector | None, Vector | None]:
     """Positions and velocities at the epoch of ``n`` coordinates, shape (n,) each, if any."""
-    if "initial_state" not in section:
+    if isinstance(given, UnsetType):
         return None, None
-    state = Section("initial_state", section.value("initial_state"), ("position", "velocity"))
-    position = frozen(state.vector("position", n, meaning=meaning))
-    velocity = frozen(state.vector("velocity", n, meaning=meaning))
+    position, velocity = (
+        frozen(vector(f"initial_state.{name}", getattr(given, name), n, meaning))
+        for name in ("position", "velocity")
+    )
     for name, values in (("position", position), ("velocity", velocity)):
         for i in np.flatnonzero(np.abs(values) > LARGEST_STATE):
             raise ModelError(
@@ -639,19 +347,19 @@ def _state_parts(
     return position, velocity
 
 
-def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vector | None]:
+def _start(given: State | UnsetType, system: System) -> tuple[Vector | None, Vector | None]:
     """The plant's initial state, which must not be inside a stop."""
-    position, velocity = _state_parts(section, system.n)
+    position, velocity = _state(given, system.n)
     if position is None or velocity is None:
         return None, None
     at_epoch = system.to_frame(np.zeros(1, dtype=np.int64), np.append(position, velocity)[None])
     start = at_epoch[0, : system.n]
     for contact in system.penetrated(start):
         name, gap = system.contact_names[contact], system.gap(start)[contact]
-        key = "side, or the order of between," if "stops" in section else "the sign of direction"
         raise ModelError(
             "initial_state.position",
-            f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0: check {key} and the"
-            " units of gap, limit and the amplitude of a ground",
+            f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0: check side, the order"
+            " of between or the sign of direction, and the units of gap, limit and amplitudes of"
+            " grounds",
         )
     return position, velocity

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the parameters of a model stand in its file."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
@@ -56,7 +57,14 @@ def _of_harmonic(
     amplitude, phase = harmonic["amplitude"], harmonic.get("phase", 0.0)
     yield ParameterPlace(f"{kind}-amplitude.{label}", (*place, "amplitude"), amplitude)
     yield ParameterPlace(f"{kind}-phase.{label}", (*place, "phase"), 1.0, phase)
-    yield ParameterPlace(f"{kind}-frequency.{label}", (*place, "frequency"))
+    yield _of_frequency(place, harmonic, f"{kind}-frequency.{label}")
+
+
+def _of_frequency(place: Place, harmonic: Mapping[str, Any], name: str) -> ParameterPlace:
+    """A frequency in rad/s, which may stand there in Hz."""
+    if "hertz" in harmonic:
+        return ParameterPlace(name, (*place, "hertz"), 1.0 / math.tau)
+    return ParameterPlace(name, (*place, "frequency"))
 
 
 def _of_contact(
@@ -78,9 +86,8 @@ def _of_matrices(document: Mapping[str, Any], system: System) -> Iterator[Parame
     if "constant" in forcing:
         for i, name in enumerate(system.coordinates):
             yield ParameterPlace(f"constant-force.{name}", ("forcing", "constant", i))
-    for k, _ in enumerate(forcing.get("harmonics", [])):
-        path = ("forcing", "harmonics", k, "frequency")
-        yield ParameterPlace(f"forcing-frequency.{k + 1}", path)
+    for k, each in enumerate(forcing.get("harmonics", [])):
+        yield _of_frequency(("forcing", "harmonics", k), each, f"forcing-frequency.{k + 1}")
 
 
 def _of_elements(document: Mapping[str, Any], system: System) -> Iterator[ParameterPlace]:

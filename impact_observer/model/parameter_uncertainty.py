@@ -5,13 +5,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+from msgspec import UnsetType
 
-from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import Section, Value, finite
-from impact_observer.model.elements import Element
-from impact_observer.model.free_parameters import OFFSET, parametric_family
-from impact_observer.model.system import System
+from impact_observer.errors import ModelError
+from impact_observer.model.document import Value, finite, matrix
+from impact_observer.model.schema import UncertaintyKeys
 from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -117,100 +115,22 @@ def _scale(covariance: Matrix) -> Vector:
     return np.where(deviations > 0, deviations, 1.0)
 
 
-def read_uncertainty(
-    document: Section, system: System, elements: Sequence[Element]
-) -> ParameterUncertainty | None:
+def read_uncertainty(declared: UncertaintyKeys | UnsetType) -> ParameterUncertainty | None:
     """The key ``uncertainty`` of a model file; None where the file has no such key.
-
-    Raises:
-        ModelError: a value is wrong, or a name is no single parameter of the model.
-    """
-    if KEY not in document:
-        return None
-    names, section = named_section(document)
-    check_parameters(f"{KEY}.names", names, system, elements)
-    return declared_uncertainty(names, section)
-
-
-def named_section(document: Section) -> tuple[tuple[str, ...], Section]:
-    """The names in the key ``uncertainty`` of a model file, and the whole value of the key."""
-    section = Section(KEY, document.value(KEY), ("names", "covariance", "fitted_to"))
-    section.value("names")
-    return tuple(str(value) for _, value in section.items("names")), section
-
-
-def declared_uncertainty(names: tuple[str, ...], section: Section) -> ParameterUncertainty:
-    """The value of the key ``uncertainty`` for parameters whose ``names`` are checked.
 
     Raises:
         ModelError: a value is wrong.
     """
-    if isinstance(given := section.value("covariance"), str):
-        raise ModelError(
-            section.key("covariance"), f"{given!r} found; expected one row of numbers a name"
-        )
-    covariance = section.matrix("covariance", len(names), None)
-    fitted_to = None
-    if "fitted_to" in section:
-        ends = Section(section.key("fitted_to"), section.value("fitted_to"), ("first", "last"))
-        fitted_to = _stamp(ends, "first"), _stamp(ends, "last")
-    return ParameterUncertainty(names, covariance, fitted_to)
-
-
-def with_beside(
-    known: ParameterUncertainty | None, beside: Iterable[tuple[str, str, float]]
-) -> tuple[dict[str, str], Matrix]:
-    """What is known with deviations ``beside`` numbers: names, keys and deviations, SI units.
-
-    Returns:
-        The key of each parameter's error by the parameter's name, and the covariance, (p, p).
-
-    Raises:
-        ModelError: a parameter has two deviations.
-    """
-    keys = {
-        name: f"{KEY}.covariance[{i}][{i}]" for i, name in enumerate(known.names if known else ())
-    }
-    variances = list[float]()
-    for name, key, deviation in beside:
-        if name in keys:
-            where = f"in {KEY}" if keys[name].startswith(KEY) else f"at {keys[name]}"
-            raise ModelError(
-                key, f"has a deviation, and {name} has one {where}; expected one of the two"
-            )
-        keys[name] = key
-        variances.append(deviation**2)
-    covariance = known.covariance if known else np.empty((0, 0))
-    return keys, linalg.block_diag(covariance, np.diag(variances))
-
-
-def check_parameters(
-    key: str, names: Sequence[str], system: System, elements: Sequence[Element]
-) -> None:
-    """Check that each of ``names`` is one parameter of the model, and none excludes another.
-
-    Raises:
-        ModelError: at ``key``, naming what was found and what is expected.
-    """
-    if not names:
-        raise ModelError(key, "is empty; expected names of parameters, such as restitution.stop")
-    if OFFSET in names:
-        raise ModelError(key, f"{OFFSET} found; expected parameters of the model, not of a clock")
-    try:
-        found = parametric_family(system, names, elements).names
-    except UsageError as error:
-        raise ModelError(key, str(error)) from None
-    for name in names:
-        if name not in found:
-            own = ", ".join(each for each in found if each.startswith(f"{name}."))
-            raise ModelError(key, f"{name} found, a kind; expected single parameters: {own}")
-
-
-def _stamp(section: Section, name: str) -> int:
-    value = section.value(name)
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise ModelError(section.key(name), f"{value!r} found; expected a stamp, whole ns")
-    return value
+    if isinstance(declared, UnsetType):
+        return None
+    if not declared.names:
+        raise ModelError(f"{KEY}.names", "is empty; expected names such as restitution.stop")
+    p, ends = len(declared.names), declared.fitted_to
+    return ParameterUncertainty(
+        tuple(declared.names),
+        matrix(f"{KEY}.covariance", declared.covariance, (p, p)),
+        None if isinstance(ends, UnsetType) else (ends.first, ends.last),
+    )
 
 
 def _checked_covariance(covariance: Matrix, p: int) -> Matrix:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sampled forcing of a model file: a CSV file beside the model file, or a table inside."""
+"""Sampled signals of a model file: a CSV file beside the model file, or a table inside."""
 
 import csv
 import io
@@ -8,28 +8,23 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+from msgspec import UnsetType
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import (
-    LARGEST,
-    Section,
-    Value,
-    file_beside,
-    number,
-    numbers,
-)
-from impact_observer.model.force_samples import HOLDS, Samples
+from impact_observer.model.document import LARGEST, Value, matrix
+from impact_observer.model.force_samples import Samples
+from impact_observer.model.matrix_files import file_beside
+from impact_observer.model.schema import SampledForces, TableKeys
 from impact_observer.resources import read_text
 from impact_observer.states import Matrix
 
-KEYS = ("sampled", "hold")
 _TIME = "time"
 
 
 def read_samples(
-    section: Section, coordinates: Sequence[str], folder: Path | None
+    forcing: SampledForces, coordinates: Sequence[str], folder: Path | None
 ) -> Samples | None:
-    """The samples of a ``section`` with ``sampled`` and ``hold``; None without these keys.
+    """The samples of the key ``forcing``; None without any.
 
     Forces are in the order of ``coordinates``. A coordinate without a column has zero force. CSV
     files lie in ``folder``.
@@ -37,30 +32,28 @@ def read_samples(
     Raises:
         ModelError: a value is wrong; the error names the key, or file, line and column.
     """
-    if "sampled" not in section:
-        if "hold" in section:
-            raise ModelError(section.key("hold"), "stands without sampled")
+    given, hold, key = forcing.sampled, forcing.hold, "forcing.sampled"
+    if isinstance(given, UnsetType):
+        if not isinstance(hold, UnsetType):
+            raise ModelError("forcing.hold", "stands without sampled")
         return None
-    hold = section.text("hold")
-    if hold not in HOLDS:
-        raise ModelError(section.key("hold"), f"{hold!r} found; expected {' or '.join(HOLDS)}")
-    key, value = section.key("sampled"), section.value("sampled")
-    if isinstance(value, str):
-        table = read_table(section, "sampled", coordinates, folder)
-        try:
-            return Samples(table[:, 0], table[:, 1:], hold)
-        except ModelError as error:
-            source = "its table" if "\n" in value else value
-            raise ModelError(key, f"{source}: {error.problem}") from None
-    inline = Section(key, value, ("time", "force"))
-    time = _column(inline.key("time"), inline.value("time"))
-    rows = [numbers(at, row, len(coordinates)) for at, row in inline.items("force")]
-    if len(rows) != len(time):
-        raise ModelError(inline.key("force"), f"{len(rows)} rows found for {len(time)} times")
-    return Samples(time, np.reshape(rows, (-1, len(coordinates))), hold)
+    if isinstance(hold, UnsetType):
+        raise ModelError("forcing.hold", "is missing; expected previous or linear")
+    if isinstance(given, TableKeys):
+        shape = len(given.time), len(coordinates)
+        return Samples(np.array(given.time), matrix(f"{key}.force", given.force, shape), hold)
+    table = read_table(key, given, coordinates, folder)
+    try:
+        return Samples(table[:, 0], table[:, 1:], hold)
+    except ModelError as error:
+        raise ModelError(key, f"{_source(given)}: {error.problem}") from None
 
 
-def read_table(section: Section, name: str, columns: Sequence[str], folder: Path | None) -> Matrix:
+def _source(value: str) -> str:
+    return "its table" if "\n" in value else value
+
+
+def read_table(key: str, value: str, columns: Sequence[str], folder: Path | None) -> Matrix:
     """Instants and ``columns`` of a CSV file or of CSV text, shape (k, 1 + columns).
 
     A missing column is zero. At least one of the columns must be present.
@@ -68,57 +61,34 @@ def read_table(section: Section, name: str, columns: Sequence[str], folder: Path
     Raises:
         ModelError: a value is wrong; the error names key, file, line and column.
     """
-    key, value = section.key(name), section.value(name)
-    if not isinstance(value, str):
-        raise ModelError(key, f"{value!r} found; expected the name of a CSV file")
-    source = "its table" if "\n" in value else value
-    lines = io.StringIO(value) if "\n" in value else _lines(key, value, folder)
     try:
-        return _read_csv(lines, columns)
-    except (ValueError, csv.Error) as error:
-        raise ModelError(key, f"{source}: {error}") from None
-
-
-def _column(key: str, value: Value) -> Matrix:
-    if not isinstance(value, list):
-        raise ModelError(key, "is not a list; expected instants, s since the epoch")
-    return np.array([number(f"{key}[{i}]", item) for i, item in enumerate(value)])
-
-
-def _lines(key: str, relative: str, folder: Path | None) -> list[str]:
-    path = file_beside(key, relative, folder)
-    try:
-        return read_text(path).splitlines(keepends=True)
-    except UsageError as error:
-        raise ModelError(key, str(error)) from None
+        text = value if "\n" in value else read_text(file_beside(key, value, folder))
+        return _read_csv(io.StringIO(text, newline=""), columns)
+    except ModelError:
+        raise
+    except (UsageError, ValueError, csv.Error) as error:
+        raise ModelError(key, f"{_source(value)}: {error}") from None
 
 
 def _read_csv(text: Iterable[str], coordinates: Sequence[str]) -> Matrix:
     """Time and forces in the order of ``coordinates``, shape (k, 1 + n)."""
-    reader = csv.reader(text)
+    reader, wanted = csv.reader(text), [_TIME, *coordinates]
     header = [name.strip() for name in next(reader, [])]
-    order = _order(header, coordinates)
-    rows = [_numbers(reader.line_num, row, header) for row in reader if row]
-    table = np.zeros((len(rows), 1 + len(coordinates)))
-    table[:, order] = np.reshape(rows, (-1, len(header)))
-    return table
-
-
-def _order(header: list[str], coordinates: Sequence[str]) -> list[int]:
-    """The place of each column of ``header`` in a table of time and ``coordinates``."""
     if _TIME in coordinates:
         raise ValueError(f"a coordinate is named {_TIME!r} as the column of instants; rename it")
-    wanted = [_TIME, *coordinates]
     if _TIME not in header:
         raise ValueError(f"column {_TIME!r} is missing; expected {', '.join(wanted)}")
+    if len(header) < 2:
+        raise ValueError(f"only the column {_TIME!r} found; expected some of {', '.join(wanted)}")
     for i, name in enumerate(header):
         if name not in wanted:
             raise ValueError(f"column {name!r} is not known; expected {', '.join(wanted)}")
         if name in header[:i]:
             raise ValueError(f"column {name!r} stands there twice")
-    if len(header) < 2:
-        raise ValueError(f"only the column {_TIME!r} found; expected some of {', '.join(wanted)}")
-    return [wanted.index(name) for name in header]
+    rows = [_numbers(reader.line_num, row, header) for row in reader if row]
+    table = np.zeros((len(rows), len(wanted)))
+    table[:, [wanted.index(name) for name in header]] = np.reshape(rows, (-1, len(header)))
+    return table
 
 
 def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
@@ -140,7 +110,7 @@ def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
 
 
 def written_samples(samples: Samples | None, coordinates: Sequence[str]) -> dict[str, Value]:
-    """The values of ``KEYS`` for ``samples``: CSV text, or lists for unusual names."""
+    """The keys from which ``read_samples`` makes ``samples``: CSV text, or lists for odd names."""
     if samples is None:
         return {}
     plain = all(name.isprintable() and name == name.strip() for name in coordinates)

@@ -60,7 +60,7 @@ def test_a_model_with_a_name_that_cannot_be_printed_is_refused(
     (tmp_path / "model.yaml").write_text(text.replace(key, hostile, 1), "utf-8")
     found = shown(["check-model", str(tmp_path / "model.yaml")], capsys)
     assert found.count("\n") == 1
-    assert "'a\\x1bb' has characters that cannot be printed" in found
+    assert "'a\\x1bb' found" in found
 
 
 @pytest.fixture(scope="module")

@@ -47,14 +47,14 @@ def test_version_is_that_of_the_manifest(capsys: pytest.CaptureFixture[str]) -> 
     ("old", "new", "key"),
     [
         ("mass:      [[1, 0], [0, 1]]", "mass: [[1, 0.1], [0, 1]]", "mass: is not symmetric"),
-        ("restitution: 0.7", "restitution: -0.7", "contacts[0].restitution: is -0.7"),
-        ("gap: 0.5", "gap: .nan", "contacts[0].gap: is not finite"),
+        ("restitution: 0.7", "restitution: -0.7", "contacts[0].restitution: -0.7 found"),
+        ("gap: 0.5", "gap: .nan", "contacts[0].gap: nan found"),
         ("gap: 0.5, ", "", "contacts[0].gap: is missing"),
         ("[[20, -10], [-10, 10]]", "[[20, -10]]", "stiffness"),
         ("stiffness:", "stifness:", "stifness: is not known here"),
-        ("[[1, 0], [0, 1]]", "[[1.0e+308, 0], [0, 1]]", "mass[0][0]: is too large"),
+        ("[[1, 0], [0, 1]]", "[[1.0e+308, 0], [0, 1]]", "mass[0][0]: 1e+308 found"),
         ("[[1, 0], [0, 1]]", "[[1.0e-300, 0], [0, 1.0e-300]]", "mass: is too small"),
-        ("[0.1, -0.2]", "[1.0e+20, -0.2]", "initial_state.position[0]: is too large"),
+        ("[0.1, -0.2]", "[1.0e+20, -0.2]", "initial_state.position[0]: 1e+20 found"),
         ("initial_state:", "provenance:", "initial_state: is missing"),
     ],
 )

@@ -235,7 +235,7 @@ def test_the_kind_is_guessed_from_the_type(
 
 MISTAKES: list[tuple[str, str, str]] = [
     ("sources: []", FLOAT, "sources"),
-    ("[1, 2]", FLOAT, "is no list"),
+    ("[1, 2]", FLOAT, "[1, 2] found"),
     ("sources: {", FLOAT, "is not YAML at line"),
     ("sources: [{topic: t}]", FLOAT, "sources[0].contact: is missing"),
     ("sources: [{contact: c}]", FLOAT, "sources[0].topic: is missing"),

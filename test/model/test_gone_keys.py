@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models with keys that went in 0.4.0: one line each; bags with them can still be looked at."""
+"""Models with keys that went in 0.4.0: one line each; bags with them can still be read."""
 
 from pathlib import Path
 
@@ -50,20 +50,10 @@ def test_a_key_that_went_is_named_with_the_last_version_that_has_it(key: str) ->
     assert "impact_observer 0.3.0 has it" in str(caught.value)
 
 
-@pytest.mark.parametrize("key", [each for each in CASES if each != "unit"])
-def test_states_are_compared_by_a_model_without_the_keys_that_went(key: str) -> None:
-    """Masses and stiffnesses, which make V, are the same, and deviations do not count."""
-    text = CASES[key][0] + "uncertainty: {names: [friction.guide], covariance: [[0.01]]}\n"
-    system = parse_model(text, "old.yaml", comparing=True).system
-    assert system.M.tolist() == [[1.0, 0.0], [0.0, 1.0]]
-    assert system.K.tolist() == [[20.0, -10.0], [-10.0, 10.0]]
-    assert system.contact_names == ("stop",)
-
-
-def test_bags_with_keys_that_went_are_exported_plotted_compared_and_observed(
+def test_bags_with_keys_that_went_are_exported_plotted_and_observed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Observed by another model alone."""
+    """Observed and compared by another model alone."""
     text = read_model("two_mass").text() + FRICTION
     bag, result = str(tmp_path / "bag"), str(tmp_path / "result")
     with monkeypatch.context() as patch:
@@ -76,6 +66,9 @@ def test_bags_with_keys_that_went_are_exported_plotted_compared_and_observed(
         main(["observe", bag, "--model", "two_mass", "--initial-state", "random:1", "-o", result])
         == 0
     )
-    for words in (["compare"], ["export", "-o", "a.csv"], ["plot", "-o", "a.png"]):
+    for words in (["export", "-o", "a.csv"], ["plot", "-o", "a.png"]):
         command, *output = [str(tmp_path / w) if "." in w else w for w in words]
         assert main([command, result, *output]) == 0
+    assert main(["compare", result]) == 2
+    assert "friction" in capsys.readouterr().err
+    assert main(["compare", result, "--model", "two_mass"]) == 0

@@ -2,13 +2,15 @@
 """The key ``hertz`` of forces, harmonics and grounds: 2 pi times as many rad/s."""
 
 import math
-from pathlib import Path
 
+import numpy as np
 import pytest
 
+from impact_observer.batch.model_edit import changes
 from impact_observer.errors import ModelError
 from impact_observer.model import parse_model
-from impact_observer.model.model_file import edited, model_text
+from impact_observer.model.free_parameters import parametric_family
+from impact_observer.model.yaml_text import edited, load_yaml
 
 ELEMENTS = """
 name: shaker
@@ -68,10 +70,14 @@ def test_two_keys_or_no_number_are_errors(force: str, place: str) -> None:
         parse_model(written(ELEMENTS, force), "model")
 
 
-def test_a_file_in_hertz_is_edited_in_rad_per_s(tmp_path: Path) -> None:
-    """As ``identify`` writes a frequency; the text of the file has no ``hertz`` any more."""
-    path = tmp_path / "model.yaml"
-    path.write_text(written(ELEMENTS, "hertz: 2"), "utf-8")
-    text = edited(model_text(path).text, {("forces", 0, "frequency"): 12.5})
-    assert "hertz" not in text
-    assert parse_model(text, "model").system.own_forcing.frequency.tolist() == [12.5]
+def test_an_identified_frequency_is_written_in_hertz_again() -> None:
+    """A file in Hz stays one."""
+    text = written(ELEMENTS, "hertz: 2")
+    model = parse_model(text, "model")
+    family = parametric_family(model.system, ["forcing-frequency.1"])
+    document = load_yaml(text)
+    assert isinstance(document, dict)
+    again = edited(text, changes(document, family, np.array([12.5])))
+    assert "hertz: 2," not in again
+    found = parse_model(again, "model").system.own_forcing.frequency
+    assert found == pytest.approx([12.5], rel=1e-15)

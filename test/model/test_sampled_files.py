@@ -112,7 +112,7 @@ def test_mistake_in_the_file_is_one_line(csv: str | bytes, problem: str, tmp_pat
         (
             MATRICES,
             "{sampled: {time: [0, 1], force: [[1, 2]]}, hold: linear}",
-            "forcing.sampled.force: 1 rows found for 2 times",
+            "forcing.sampled.force: 1 rows found",
         ),
         (
             MATRICES,
@@ -127,7 +127,7 @@ def test_mistake_in_the_file_is_one_line(csv: str | bytes, problem: str, tmp_pat
         (
             MATRICES,
             "{sampled: {time: 7, force: [[1, 2], [1, 2]]}, hold: linear}",
-            "forcing.sampled.time: is not a list",
+            "forcing.sampled.time: 7 found",
         ),
         (
             MATRICES,

@@ -113,14 +113,14 @@ def test_a_deviation_of_another_force_stays_with_it() -> None:
     ("text", "wrong", "key"),
     [
         (ELEMENTS.replace("shape: square", "shape: saw"), "'saw' found", "forces[0].shape"),
-        (ELEMENTS.replace("hertz: 19", "hertz: 0"), "positive", "forces[0].frequency"),
+        (ELEMENTS.replace("hertz: 19", "hertz: 0"), "0 found", "forces[0].hertz"),
         (
             ELEMENTS.replace("amplitude: 50", "amplitude: {value: 50, deviation: 1}"),
             "deviation",
             "forces[0].amplitude",
         ),
         (ELEMENTS.replace("amplitude: 50, ", ""), "missing", "forces[0].amplitude"),
-        (MATRICES.replace("hertz: 19", "frequency: -1"), "positive", "squares[0].frequency"),
+        (MATRICES.replace("hertz: 19", "frequency: -1"), "-1 found", "squares[0].frequency"),
         (MATRICES.replace("[50, 0]", "[50]"), "2 numbers", "squares[0].amplitude"),
     ],
 )

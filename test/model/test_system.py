@@ -88,7 +88,7 @@ def test_harmonics_without_amplitude_do_not_depend_on_time() -> None:
         ({"contacts": (Contact("c", np.ones(1), 0, 0),)}, r"contacts\[0\].direction: has shape 1"),
         ({"contacts": (Contact("c", np.zeros(2), 0, 0),)}, r"contacts\[0\].direction: is zero"),
         ({"contacts": (Contact("c", np.ones(2), np.nan, 0),)}, r"contacts\[0\].gap: is not fin"),
-        ({"contacts": (Contact("c", np.ones(2), 0, 1.5),)}, r"contacts\[0\].restitution: is 1.5"),
+        ({"contacts": (Contact("c", np.ones(2), 0, 1.5),)}, r"contacts\[0\].restitution: 1.5"),
         ({"forcing": Forcing.none(3)}, "forcing.constant"),
         (
             {"forcing": Forcing(np.zeros(2), np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)))},

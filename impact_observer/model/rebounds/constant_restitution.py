@@ -7,12 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from impact_observer.model.document import Section, Value
-from impact_observer.model.rebounds.rebound_law import (
-    ReboundLaw,
-    ReboundParameter,
-    checked_restitution,
-)
+from impact_observer.model.document import Share, Value, converted
+from impact_observer.model.rebounds.rebound_law import ReboundLaw, ReboundParameter
 from impact_observer.states import Vector
 
 
@@ -31,13 +27,17 @@ class ConstantRestitution(ReboundLaw):
     restitution: float
 
     @classmethod
-    def read(cls, contact: Section) -> "ConstantRestitution":
-        """The law of any ``contact`` of which the restitution is a number."""
-        return cls(contact.number("restitution"))
+    def read(
+        cls, key: str, restitution: float | Mapping[str, float]
+    ) -> "ConstantRestitution | None":
+        """The law of a restitution that is a number."""
+        if isinstance(restitution, Mapping):
+            return None
+        return cls(converted(restitution, Share, key))
 
     def checked(self, key: str) -> "ConstantRestitution":
         """The same law with a checked coefficient."""
-        return ConstantRestitution(checked_restitution(f"{key}.restitution", self.restitution))
+        return ConstantRestitution(converted(self.restitution, Share, f"{key}.restitution"))
 
     @property
     def document(self) -> dict[str, Value]:

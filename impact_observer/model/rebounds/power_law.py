@@ -3,12 +3,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from msgspec import Meta
 
-from impact_observer.errors import ModelError
-from impact_observer.model.document import Section, Value, finite
+from impact_observer.model.document import Keys, Positive, Share, Value, converted
 from impact_observer.model.rebounds.rebound_law import (
     ReboundLaw,
     ReboundParameter,
@@ -19,6 +19,15 @@ LIMIT = 0.95
 """Default of the largest restitution; below 1, so that slow impacts come to rest."""
 LEAST_EXPONENT = -0.999
 """Least exponent of a power law; at -1 all impacts would have the same speed afterwards."""
+
+
+class _Numbers(Keys, frozen=True):
+    """Numbers of a power law in a model file."""
+
+    value: Share
+    speed: Positive
+    exponent: Annotated[float, Meta(ge=LEAST_EXPONENT, le=0.0)]
+    limit: Annotated[float, Meta(ge=0.0, lt=1.0)] = LIMIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,34 +51,14 @@ class PowerLaw(ReboundLaw):
     limit: float = LIMIT
 
     @classmethod
-    def read(cls, contact: Section) -> "PowerLaw | None":
-        """The law of a ``contact`` of which the restitution has keys, but no table."""
-        if not isinstance(value := contact.value("restitution"), Mapping):
-            return None
-        law = Section(contact.key("restitution"), value, ("value", "speed", "exponent", "limit"))
-        value, speed, exponent = (law.number(name) for name in ("value", "speed", "exponent"))
-        return cls(value, speed, exponent, law.number("limit", LIMIT))
+    def read(cls, key: str, restitution: float | Mapping[str, float]) -> "PowerLaw":
+        """The law of a restitution of several numbers."""
+        numbers = converted(restitution, _Numbers, key)
+        return cls(numbers.value, numbers.speed, numbers.exponent, numbers.limit)
 
     def checked(self, key: str) -> "PowerLaw":
         """The same law with checked numbers."""
-        numbers = {
-            name: float(finite(f"{key}.restitution.{name}", number, (), "a number"))
-            for name, number in self._numbers.items()
-        }
-        within = {
-            "value": (0.0 <= numbers["value"] <= 1.0, "a number in [0, 1]"),
-            "speed": (numbers["speed"] > 0.0, "a positive number, m/s"),
-            "exponent": (
-                LEAST_EXPONENT <= numbers["exponent"] <= 0.0,
-                f"a number in [{LEAST_EXPONENT:g}, 0]",
-            ),
-            "limit": (0.0 <= numbers["limit"] < 1.0, "a number in [0, 1)"),
-        }
-        for name, (holds, wanted) in within.items():
-            if not holds:
-                problem = f"is {numbers[name]:g}; expected {wanted}"
-                raise ModelError(f"{key}.restitution.{name}", problem)
-        return PowerLaw(**numbers)
+        return PowerLaw.read(f"{key}.restitution", self._numbers)
 
     @property
     def _numbers(self) -> dict[str, float]:

@@ -14,8 +14,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from impact_observer.errors import ModelError
-from impact_observer.model.document import Section, Value, finite
+from impact_observer.model.document import Value
 from impact_observer.states import Vector
 
 _SOFT = 0.1
@@ -47,21 +46,19 @@ class ReboundLaw(ABC):
     """The rebound of one contact, ``gamma+ = -r(gamma-)``.
 
     Attributes:
-        keys: keys of a contact in a model file that only this law has.
         units: kinds of the parameters that may be estimated, with SI units; empty for a ratio.
         is_plain: whether ``r = eps gamma`` with a constant ``eps``, which the kernel knows.
         is_affine: whether the slope of ``r`` is constant.
     """
 
-    keys: ClassVar[tuple[str, ...]] = ()
     units: ClassVar[Mapping[str, str]] = {}
     is_plain: ClassVar[bool] = False
     is_affine: ClassVar[bool] = False
 
     @classmethod
     @abstractmethod
-    def read(cls, contact: Section) -> "ReboundLaw | None":
-        """The law of a ``contact`` of a model file; None for a contact of another law.
+    def read(cls, key: str, restitution: float | Mapping[str, float]) -> "ReboundLaw | None":
+        """The law of a ``restitution`` at the ``key`` of a model file; None for another law's.
 
         Raises:
             ModelError: a value is wrong; the error names the key and the expected value.
@@ -140,15 +137,3 @@ class ReboundLaw(ABC):
         """``dr`` by each parameter at one contact speed, m/s."""
         del gamma
         return ()
-
-
-def checked_restitution(key: str, value: float) -> float:
-    """A coefficient of restitution, which must lie in [0, 1].
-
-    Raises:
-        ModelError: another value at the ``key`` of a model file.
-    """
-    eps = float(finite(key, value, (), "a number in [0, 1]"))
-    if not 0.0 <= eps <= 1.0:
-        raise ModelError(key, f"is {eps:g}; expected a number in [0, 1]")
-    return eps

@@ -33,9 +33,9 @@ from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
-from impact_observer.model.model_file import edited, load_yaml
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.rebounds.power_law import PowerLaw
+from impact_observer.model.yaml_text import edited, load_yaml
 from impact_observer.observer import ReplicaLaw
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric

@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: Apache-2.0
+# mypy: disable-error-code="misc"
+"""The keys of a model file: linear systems as elements or as matrices, and robots.
+
+SI units: kg, N/m, Ns/m, N, m, s, rad/s, rad; for coordinates in rad those of angles. Of a robot
+Nm s/rad or Ns/m, kg m^2 or kg, Nm or N by the type of the joint. Numbers of the type ``Known``,
+``Positive`` and ``NotNegative`` may bear their standard deviation, ``{value: 0.7, deviation:
+0.01}``, where they are parameters of the model (``parameter_places.py``). A matrix of a linear
+system may be the name of a ``.npy`` or Matrix Market file beside the model file, ``sampled`` that
+of a CSV file, or its text.
+
+All classes are frozen as ``Keys`` is; mypy asks each class to say so, hence the line above.
+"""
+
+import math
+from typing import Annotated, Any, Literal, TypeAlias
+
+from msgspec import UNSET, Meta, UnsetType, field
+
+from impact_observer.errors import ModelError
+from impact_observer.model.document import Keys, Name, NotNegative, Number, Positive, Share
+
+Known: TypeAlias = Number
+Row: TypeAlias = tuple[Number, ...]
+File: TypeAlias = str
+Restitution: TypeAlias = Known | dict[str, Known]
+"""A coefficient, or the numbers of another rebound law by name (``rebounds/``)."""
+
+
+class State(Keys):
+    """The plant's state at the epoch: coordinates, m or rad, and velocities."""
+
+    position: Row
+    velocity: Row
+
+
+class FittedTo(Keys):
+    """First and last stamp of the impacts from which values were fitted, ns."""
+
+    first: int
+    last: int
+
+
+class UncertaintyKeys(Keys):
+    """Covariance of parameters by the names that ``identify --free`` has, SI units."""
+
+    names: tuple[Name, ...]
+    covariance: tuple[Row, ...]
+    fitted_to: FittedTo | UnsetType = UNSET
+
+
+class SensorKeys(Keys):
+    """What is left of the errors of a contact's sensor after the detector's corrections.
+
+    Attributes:
+        clock_error: standard deviation of the stamps, s.
+        missed: probability that an impact is not detected.
+        latency: by which the stamps are late, s.
+    """
+
+    clock_error: Share | UnsetType = UNSET
+    missed: Share | UnsetType = UNSET
+    latency: Annotated[float, Meta(ge=-10.0, le=10.0)] | UnsetType = UNSET
+
+
+class Common(Keys):
+    """What all models have.
+
+    Attributes:
+        provenance: origin of the file, and the verdict of ``identify``.
+        sensors: by contact.
+    """
+
+    name: Name
+    initial_state: State | UnsetType = UNSET
+    uncertainty: UncertaintyKeys | UnsetType = UNSET
+    provenance: dict[str, Any] = field(default_factory=dict)
+    sensors: dict[str, SensorKeys | Literal["none"]] = field(default_factory=dict)
+
+
+class Periodic(Keys):
+    """What has a frequency, in rad/s or in Hz."""
+
+    frequency: Positive | UnsetType = UNSET
+    hertz: Positive | UnsetType = UNSET
+
+    def omega(self, key: str) -> float:
+        """The angular frequency, rad/s.
+
+        Raises:
+            ModelError: both keys or neither; ``key`` is that of the mapping.
+        """
+        if not isinstance(self.frequency, UnsetType):
+            if not isinstance(self.hertz, UnsetType):
+                raise ModelError(f"{key}.hertz", "stands beside frequency; write one of them")
+            return self.frequency
+        if isinstance(self.hertz, UnsetType):
+            raise ModelError(f"{key}.frequency", "is missing")
+        return math.tau * self.hertz
+
+
+class Wave(Periodic, kw_only=True):
+    """``amplitude cos(w t + phase)``, m."""
+
+    amplitude: Known
+    phase: Known = 0.0
+
+
+class MotionKeys(Keys):
+    """The motion of a ground: a sum of waves, or a table of ``time`` and ``displacement``."""
+
+    harmonics: tuple[Wave, ...] | UnsetType = UNSET
+    sampled: File | UnsetType = UNSET
+
+
+class Ground(Keys):
+    """A ground that moves by itself."""
+
+    name: Name
+    motion: MotionKeys
+
+
+class TableKeys(Keys):
+    """Forces at instants, s since the epoch, one row of all coordinates an instant."""
+
+    time: Row
+    force: tuple[Row, ...]
+
+
+class SampledForces(Keys):
+    """Forces by samples, beside those of other keys."""
+
+    sampled: File | TableKeys | UnsetType = UNSET
+    hold: Literal["previous", "linear"] | UnsetType = UNSET
+
+
+class Linear(Common):
+    """What linear systems have in both forms; unit: of the coordinates."""
+
+    unit: Literal["m", "rad"] | UnsetType = UNSET
+    grounds: tuple[Ground, ...] = ()
+
+
+class Body(Keys):
+    """A mass on the line."""
+
+    name: Name
+    mass: Positive
+
+
+class Spring(Keys):
+    """A spring, and a damper, between two bodies or grounds."""
+
+    between: Annotated[tuple[Name, ...], Meta(min_length=2, max_length=2)]
+    stiffness: NotNegative
+    damping: NotNegative | UnsetType = UNSET
+
+
+class Force(Periodic, kw_only=True):
+    """A force on a body: one constant, wave, square wave or live input."""
+
+    body: Name
+    constant: Known | UnsetType = UNSET
+    amplitude: Known | UnsetType = UNSET
+    phase: Known | UnsetType = UNSET
+    shape: Literal["square"] | UnsetType = UNSET
+    input: Name | UnsetType = UNSET
+
+
+class StopKeys(Keys):
+    """A stop: ``g = limit - q`` above or ``q - limit`` below, or ``g = q_b - q_a + gap``.
+
+    Attributes:
+        ground: on which a stop of a body rests.
+    """
+
+    name: Name
+    restitution: Restitution
+    body: Name | UnsetType = UNSET
+    limit: Known | UnsetType = UNSET
+    side: Literal["above", "below"] | UnsetType = UNSET
+    ground: Name | UnsetType = UNSET
+    between: Annotated[tuple[Name, ...], Meta(min_length=2, max_length=2)] | UnsetType = UNSET
+    gap: Known | UnsetType = UNSET
+
+
+class ElementModel(Linear, kw_only=True):
+    """A linear system as bodies, springs, forces and stops on one line."""
+
+    bodies: Annotated[tuple[Body, ...], Meta(min_length=1)]
+    springs: tuple[Spring, ...] = ()
+    forces: tuple[Force, ...] = ()
+    forcing: SampledForces | UnsetType = UNSET
+    stops: tuple[StopKeys, ...] = ()
+
+
+class Harmonic(Periodic):
+    """``cosine cos(w t) + sine sin(w t)``, a number a coordinate."""
+
+    cosine: Row | UnsetType = UNSET
+    sine: Row | UnsetType = UNSET
+
+
+class Square(Periodic, kw_only=True):
+    """``amplitude sign(cos(w t + phase))``, a number a coordinate."""
+
+    amplitude: Row
+    phase: Number = 0.0
+
+
+class GroundForces(Keys):
+    """Forces by unit displacement, and by unit speed, of a ground."""
+
+    name: Name
+    stiffness: Row | UnsetType = UNSET
+    damping: Row | UnsetType = UNSET
+
+
+class LiveForce(Keys):
+    """A force that arrives live, by its direction."""
+
+    name: Name
+    direction: Row
+
+
+class SmoothForcing(SampledForces):
+    """``f(t)`` by constants, harmonics and samples."""
+
+    constant: tuple[Known, ...] | UnsetType = UNSET
+    harmonics: tuple[Harmonic, ...] = ()
+
+
+class ForcingKeys(SmoothForcing):
+    """``f(t)`` of a linear system in matrices."""
+
+    squares: tuple[Square, ...] = ()
+    grounds: tuple[GroundForces, ...] = ()
+    inputs: tuple[LiveForce, ...] = ()
+
+
+class GroundFactor(Keys):
+    """How much a ground moves a stop: ``g += factor s(t)``."""
+
+    ground: Name
+    factor: Number
+
+
+class MatrixContact(Keys):
+    """``g = direction . q + gap``, m."""
+
+    name: Name
+    direction: Row
+    gap: Known
+    restitution: Restitution
+    motion: tuple[GroundFactor, ...] = ()
+
+
+class MatrixModel(Linear, kw_only=True):
+    """A linear system as matrices, shape (n, n)."""
+
+    coordinates: Annotated[tuple[Name, ...], Meta(min_length=1)]
+    mass: tuple[Row, ...] | File
+    damping: tuple[Row, ...] | File
+    stiffness: tuple[Row, ...] | File
+    contacts: tuple[MatrixContact, ...]
+    forcing: ForcingKeys = ForcingKeys()
+
+
+class TopicKeys(Keys):
+    """The latched topic of a URDF."""
+
+    topic: Name
+
+
+class Effort(Keys):
+    """Where measured efforts come from, N m or N."""
+
+    topic: Name
+    field: Literal["effort"]
+
+
+class RobotContact(Keys):
+    """``g = normal . p(frame) - offset``, m, in the root frame of the URDF."""
+
+    name: Name
+    frame: Name
+    normal: Row
+    offset: Number
+    restitution: Restitution
+
+
+class RobotModel(Common, kw_only=True):
+    """A robot; numbers by joint.
+
+    Attributes:
+        urdf: file beside the model file, XML, or topic.
+        held: positions of movable joints that are no part of the state.
+        torque_deviation: of white torques, N m sqrt(s) or N sqrt(s).
+    """
+
+    urdf: str | TopicKeys
+    joints: tuple[Name, ...]
+    held: dict[str, Number] = field(default_factory=dict)
+    damping: dict[str, Known] = field(default_factory=dict)
+    rotor_inertia: dict[str, Known] = field(default_factory=dict)
+    contacts: tuple[RobotContact, ...] = ()
+    forces: Effort | UnsetType = UNSET
+    torque_deviation: Number | dict[str, Number] | UnsetType = UNSET
+    gravity: Row = (0.0, 0.0, -9.81)
+    forcing: SmoothForcing = SmoothForcing()
