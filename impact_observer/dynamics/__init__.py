@@ -16,7 +16,7 @@ from impact_observer.dynamics.mechanism import Grip, Mechanism, mechanism_of
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.roots import Guards, RootSearch
 from impact_observer.dynamics.scales import Scales
-from impact_observer.dynamics.watched import DEPTH, End, Watch, Watched
+from impact_observer.dynamics.watched import DEPTH, End, Watch, watch
 
 __all__ = [
     "DEPTH",
@@ -38,8 +38,8 @@ __all__ = [
     "RootSearch",
     "Scales",
     "Watch",
-    "Watched",
     "ended",
     "mechanism_of",
     "persistent_contacts",
+    "watch",
 ]

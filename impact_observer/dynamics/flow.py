@@ -33,7 +33,7 @@ from impact_observer.dynamics.exponential import (
     Exponential,
     polynomials,
 )
-from impact_observer.dynamics.roots import Guards, Steps
+from impact_observer.dynamics.roots import Steps
 from impact_observer.errors import DynamicsError
 from impact_observer.model import Forcing
 from impact_observer.model.angles import Angles
@@ -108,19 +108,6 @@ class Drive:
         self.F[:, first + 2 * h : -1] = pushes.T
         self.F[:, -1] = forcing.constant
         self.fastest = forcing.fastest
-
-    def row(self, waves: Matrix, force: Matrix) -> Matrix:
-        """Rows of functions of ``y``, shape (w, e).
-
-        Args:
-            waves: factors of 1, all cosines, all sines and all squares, shape (w, 1 + 2h + s).
-            force: factors of the sampled forces, shape (w, n).
-        """
-        rows = np.zeros((len(waves), len(self.Y)))
-        orders, d = self._shape
-        rows[:, :d] = force[:, self._active]
-        rows[:, orders * d : -1], rows[:, -1] = waves[:, 1:], waves[:, 0]
-        return rows
 
     def at(self, t: Elapsed) -> Vector:
         """``y`` at ``t``, after a sample or switch at this instant, shape (e,).
@@ -290,16 +277,6 @@ class Flow:
             DynamicsError: the forcing has no sample at ``t``.
         """
         return PhaseMotion(self, t, x)
-
-    def guards(self, rows: Matrix, waves: Matrix, force: Matrix) -> Guards:
-        """Functions ``rows (p, u) + waves (1, cos, sin, squares) + force f_sampled`` of motions.
-
-        Args:
-            rows: shape (w, 2n).
-            waves: factors of 1 and of the waves of the forcing, shape (w, 1 + 2h + s).
-            force: factors of the sampled forces, shape (w, n).
-        """
-        return Guards(self.exponential, np.hstack([rows, self.drive.row(waves, force)]))
 
     def transition(self, s: float) -> Matrix:
         """Propagate the difference of two motions by ``s`` seconds, which may be negative.

@@ -25,7 +25,7 @@ from impact_observer.dynamics.mechanism import (
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.roots import RootSearch
 from impact_observer.dynamics.tangent import Tangent
-from impact_observer.dynamics.watched import End, Watch, Watched
+from impact_observer.dynamics.watched import End, Watch, watch
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
@@ -141,7 +141,7 @@ class LinearMechanism:
     def _watched(self, phase: Phase, closed: Contacts) -> Watch:
         """The guards of a phase: gaps of the contacts that are not ``closed``, and loads."""
         opened = [i for i in range(self.system.m) if i not in closed]
-        return Watched.gaps(self.system, opened).and_also(Watched.loads(phase)).along(phase)
+        return watch(self.system, phase, gaps=opened)
 
 
 class WatchedMotion(GuardedMotion):

@@ -310,19 +310,14 @@ class Tangent:
     def _pushes(self, held: Contacts) -> dict[int, Matrix]:
         """Derivatives of the accelerations by each parameter that moves, shape (n, N)."""
         phase, n, d = self.phase(held), self.n, 2 * self.n
-        drive, A, found = phase.flow.drive, phase.flow.exponential.A, {}
-        count = self._waves(held).stop - self._waves(held).start
-        squares = len(drive.Y) - 1 - self._waves(held).stop
+        A, waves, found = phase.flow.exponential.A, self._waves(held), {}
         _, by = self.family.harmonics(self._numbers)
         for j in self._moving:
             effect = self._effects[j]
-            waves = np.zeros((n, 1 + count + squares))
-            waves[:, 0] = effect.constant
-            waves[:, 1 : 1 + count // 2] = by[j].real.T
-            waves[:, 1 + count // 2 : 1 + count] = -by[j].imag.T
             pull = -effect.M @ A[n:d]
             pull[:, :d] -= np.hstack([effect.K, effect.C])
-            pull[:, d:] += drive.row(waves, np.zeros((n, n)))
+            pull[:, d:][:, waves] += np.hstack([by[j].real.T, -by[j].imag.T])
+            pull[:, -1] += effect.constant
             found[j] = phase.inverse @ pull
         return found
 

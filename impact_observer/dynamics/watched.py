@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Guard functions along a motion: a phase ends when a guard function falls below zero.
+"""Guards along the motions of a phase: it ends where the first of them falls below zero.
 
-``RootSearch`` finds the first root of all guard functions and misses none (``roots.py``).
+A guard is a linear function of the augmented state ``z`` of a flow, a row. ``RootSearch`` finds
+the first root of all guards and misses none (``roots.py``).
 """
 
 from collections import defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from enum import IntEnum, auto
 from typing import NamedTuple
 
@@ -15,14 +15,14 @@ import numpy as np
 from impact_observer.dynamics.phase import Phase
 from impact_observer.dynamics.roots import Guards
 from impact_observer.model import System
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix
 
 DEPTH = 1e-13
 """Depth below zero that may be missed, relative to the terms of a function."""
 
 
 class End(IntEnum):
-    """The kinds of guard functions: how a phase ends."""
+    """The kinds of guards: how a phase ends."""
 
     GAP = auto()
     SPEED = auto()
@@ -31,7 +31,7 @@ class End(IntEnum):
 
 
 class Watch(NamedTuple):
-    """Watched functions of the motions of one phase.
+    """The guards of the motions of one phase.
 
     Attributes:
         guards: the functions.
@@ -49,88 +49,42 @@ class Watch(NamedTuple):
         return indices
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Watched:
-    """Functions ``h = a p + b u + c f(t) + d`` of a motion (p, u), a row each.
+def watch(
+    system: System,
+    phase: Phase,
+    gaps: Sequence[int] = (),
+    speeds: Sequence[int] = (),
+    reactions: tuple[int, Matrix] | None = None,
+) -> Watch:
+    """The loads of the held contacts of a ``phase``, and further guards.
 
-    Attributes:
-        ends: kind and index of each function; see ``Watch``.
-        position: ``a``, shape (w, n).
-        velocity: ``b``, shape (w, n).
-        force: ``c``, shape (w, n).
-        constant: ``d``, shape (w,).
+    Args:
+        system: the system of the contacts.
+        phase: the phase.
+        gaps: contacts whose gaps may not become negative.
+        speeds: contacts that slip until their speeds are zero.
+        reactions: number of the last contacts fixed in the phase whose reactions ``sigma`` may
+            not become negative, and the reactions by the gaps of all of them, (fixed, fixed).
     """
-
-    ends: tuple[tuple[End, int], ...]
-    position: Matrix
-    velocity: Matrix
-    force: Matrix
-    constant: Vector
-
-    @classmethod
-    def gaps(
-        cls, system: System, contacts: Iterable[int], phase: Phase | None = None
-    ) -> "Watched":
-        """The gaps of ``contacts``: a gap below zero is a penetration.
-
-        Args:
-            system: the system of the contacts.
-            contacts: indices.
-            phase: the phase with the coordinates ``p``; None for coordinates of the system.
-        """
-        which = list(contacts)
-        a, d = system.W[:, which].T, system.q_r[which]
-        if phase is not None and phase.fixed:
-            a, d = a @ phase.Q, d + a @ phase.rest
-        return cls(_each(End.GAP, which), a, np.zeros_like(a), np.zeros_like(a), d)
-
-    @classmethod
-    def speeds(cls, system: System, contacts: Iterable[int]) -> "Watched":
-        """The contact speeds of ``contacts``: at zero a slipping contact is held."""
-        return cls._of_velocity(_each(End.SPEED, contacts), system.W[:, list(contacts)].T)
-
-    @classmethod
-    def reactions(cls, system: System, phase: Phase, R: Matrix, stopped: int) -> "Watched":
-        """The reactions ``sigma`` of the last ``stopped`` contacts fixed in ``phase``.
-
-        ``R`` gives the reactions of all fixed contacts by their gaps, shape (fixed, fixed).
-        """
-        first, fixed = len(phase.fixed) - stopped, list(phase.fixed)
-        ends = _each(End.REACTION, fixed[first:])
-        return cls._of_velocity(ends, -R[first:] @ system.W[:, fixed].T)
-
-    @classmethod
-    def loads(cls, phase: Phase) -> "Watched":
-        """The loads ``lambda`` of the held contacts: below zero a contact is released."""
-        equations, H = phase.equations, phase.loads
-        ends, none = _each(End.LOAD, phase.held), np.zeros(len(H))
-        return cls(ends, H @ equations.K, H @ equations.C, -H, none)
-
-    @classmethod
-    def _of_velocity(cls, ends: tuple[tuple[End, int], ...], b: Matrix) -> "Watched":
-        return cls(ends, np.zeros_like(b), b, np.zeros_like(b), np.zeros(len(b)))
-
-    def and_also(self, *others: "Watched") -> "Watched":
-        """These functions, then the functions of ``others``."""
-        every = [each for each in (self, *others) if each.ends] or [self]
-        return Watched(
-            sum((each.ends for each in every), ()),
-            np.vstack([each.position for each in every]),
-            np.vstack([each.velocity for each in every]),
-            np.vstack([each.force for each in every]),
-            np.concatenate([each.constant for each in every]),
-        )
-
-    def along(self, phase: Phase) -> Watch:
-        """The same functions along the motions of ``phase``."""
-        forcing = phase.equations.forcing
-        squares = [] if forcing.squares is None else [forcing.squares.force]
-        forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine, *squares])
-        waves = forces @ self.force.T
-        waves[0] += self.constant
-        rows = np.hstack([self.position, self.velocity])
-        return Watch(phase.flow.guards(rows, waves.T, self.force), self.ends)
-
-
-def _each(end: End, which: Iterable[int]) -> tuple[tuple[End, int], ...]:
-    return tuple((end, i) for i in which)
+    n, equations, H, W = system.n, phase.equations, phase.loads, system.W
+    F = phase.flow.drive.F
+    loads = np.hstack([H @ equations.K, H @ equations.C, -H @ F])
+    parts = [(End.LOAD, phase.held, loads)]
+    if speeds:
+        rows = np.zeros((len(speeds), loads.shape[1]))
+        rows[:, n : 2 * n] = W[:, list(speeds)].T
+        parts.append((End.SPEED, tuple(speeds), rows))
+    if reactions is not None:
+        count, R = reactions
+        fixed = phase.fixed
+        rows = np.zeros((count, loads.shape[1]))
+        rows[:, n : 2 * n] = -R[len(fixed) - count :] @ W[:, list(fixed)].T
+        parts.append((End.REACTION, fixed[len(fixed) - count :], rows))
+    if gaps:
+        directions, which = W[:, list(gaps)].T, list(gaps)
+        rows = np.zeros((len(gaps), loads.shape[1]))
+        rows[:, :n] = directions @ phase.Q if phase.fixed else directions
+        rows[:, -1] = system.q_r[which] + (directions @ phase.rest if phase.fixed else 0.0)
+        parts.append((End.GAP, tuple(gaps), rows))
+    ends = tuple((end, i) for end, contacts, _ in parts for i in contacts)
+    return Watch(Guards(phase.flow.exponential, np.vstack([rows for *_, rows in parts])), ends)

@@ -23,7 +23,7 @@ from systems import (
     vectors,
 )
 
-from impact_observer.dynamics import Phase, PhaseMotion, Phases, RootSearch, Watched
+from impact_observer.dynamics import Phase, PhaseMotion, Phases, RootSearch, Watch, watch
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 
@@ -55,10 +55,10 @@ class Crossing(NamedTuple):
 
 
 def first_crossing(
-    phase: Phase, watched: Watched, motion: PhaseMotion, horizon: float, start: float = 0.0
+    watched: Watch, motion: PhaseMotion, horizon: float, start: float = 0.0
 ) -> Crossing | None:
     """The first crossing of the functions along ``motion`` in [start, horizon]."""
-    found = RootSearch(watched.along(phase).guards, motion, start).first(horizon)
+    found = RootSearch(watched.guards, motion, start).first(horizon)
     return None if found is None or found[0] > horizon else Crossing(*found)
 
 
@@ -77,7 +77,7 @@ def first_closing(
     phase: Phase, model: System, x: Array, horizon: float, t: float = 0.0
 ) -> Crossing | None:
     """The same, in a phase of a system that may have other gaps: they do not change the motion."""
-    return first_crossing(phase, Watched.gaps(model, range(model.m)), phase.start(t, x), horizon)
+    return first_crossing(watch(model, phase, range(model.m)), phase.start(t, x), horizon)
 
 
 def assert_closing(found: Crossing | None, s: float, *contacts: int) -> None:
@@ -210,13 +210,14 @@ def test_length_of_the_search_window_does_not_change_the_closing() -> None:
     """Several short searches find the closing of one long search."""
     model = sample("three_mass").system
     x = np.array([0.1, -0.1, 0.05, 0.5, 0.0, -0.5])
-    phase, gaps = phase_of(model), Watched.gaps(model, range(model.m))
+    phase = phase_of(model)
+    gaps = watch(model, phase, range(model.m))
     motion = phase.start(0.0, x)
-    once = first_crossing(phase, gaps, motion, 10.0)
+    once = first_crossing(gaps, motion, 10.0)
     assert once is not None
     pieces, start, found = np.linspace(0.0, 10.0, 97)[1:], 0.0, None
     for stop in pieces:
-        found = first_crossing(phase, gaps, motion, stop, start)
+        found = first_crossing(gaps, motion, stop, start)
         if found is not None:
             break
         start = stop
@@ -256,8 +257,7 @@ def test_body_at_rest_against_its_stop_does_not_hit_it(model: System) -> None:
     x[0] = -model.q_r[0] / model.W[0, 0] if model.W[0, 0] else 1.0
     x[model.n - 1] += -1.0 if model.n == 3 else float(model.n == 2)
     phase = phase_of(model)
-    watched = Watched.gaps(model, [0])
-    assert first_crossing(phase, watched, phase.start(0.0, x), 10.0) is None
+    assert first_crossing(watch(model, phase, [0]), phase.start(0.0, x), 10.0) is None
 
 
 class Superposed:
@@ -398,5 +398,5 @@ def test_load_that_vanishes_at_a_knot_or_on_a_ramp_is_found(hold: str, expected:
         force=Forcing.of_samples(Samples(times, force, hold)),
     )
     phase = Phases(model).phase((0,))
-    found = first_crossing(phase, Watched.loads(phase), phase.start(0.0, np.zeros(2)), 2.0)
+    found = first_crossing(watch(model, phase), phase.start(0.0, np.zeros(2)), 2.0)
     assert_closing(found, expected, 0)

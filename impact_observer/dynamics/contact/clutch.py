@@ -19,7 +19,7 @@ from impact_observer.dynamics.flow import Motion, PhaseMotion
 from impact_observer.dynamics.mechanism import Grip
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.roots import RootSearch
-from impact_observer.dynamics.watched import End, Watch, Watched
+from impact_observer.dynamics.watched import End, Watch, watch
 from impact_observer.model import System
 from impact_observer.states import Vector
 
@@ -66,12 +66,10 @@ class Clutches:
         Further guards are the speeds of ``slipping`` contacts, the reactions of ``stopped``
         contacts, and the gaps of ``opened`` contacts.
         """
-        watched = [Watched.speeds(self.system, slipping)]
+        reactions = None
         if stopped:
-            R = self.phases.projection.reactions(phase.fixed)
-            watched.append(Watched.reactions(self.system, phase, R, len(stopped)))
-        watched.append(Watched.gaps(self.system, opened, phase))
-        return Watched.loads(phase).and_also(*watched).along(phase)
+            reactions = len(stopped), self.phases.projection.reactions(phase.fixed)
+        return watch(self.system, phase, opened, slipping, reactions)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
