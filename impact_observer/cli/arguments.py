@@ -3,11 +3,12 @@
 
 import argparse
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from impact_observer.errors import UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
@@ -152,130 +153,12 @@ def installed_laws(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def add_model(
-    parser: argparse.ArgumentParser,
-    meaning: str = "a model file or a sample (default: the one in the bag)",
-) -> None:
-    """Add ``--model``."""
-    parser.add_argument("--model", metavar="MODEL", help=meaning)
-
-
-def add_measurements(parser: "argparse._ActionsContainer") -> None:
-    """Add ``--measurements``."""
-    parser.add_argument(
-        "--measurements",
-        metavar="FILE",
-        help="a file that declares what sensors measure beside the impacts, or a sample",
-    )
-
-
-def add_estimates(parser: "argparse._ActionsContainer") -> None:
-    """Add the rate of estimates."""
-    parser.add_argument(
-        "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
-    )
-
-
-def add_part(
-    parser: "argparse._ActionsContainer",
-    *,
-    zero: str = "the epoch, or without one after the first impact",
-    start: str = "from the beginning",
-    duration: str = "to the end",
-) -> None:
-    """Add ``--start`` and ``--duration``, the part of a bag that a command reads.
-
-    Args:
-        parser: of the subcommand, or a group of it.
-        zero: the instant from which ``--start`` counts.
-        start: what the default of ``--start`` is.
-        duration: what the default of ``--duration`` is.
-    """
-    parser.add_argument(
-        "--start",
-        metavar="S",
-        type=not_negative,
-        help=f"beginning of the part that is read, s after {zero} (default: {start})",
-    )
-    parser.add_argument(
-        "--duration",
-        metavar="S",
-        type=positive,
-        help=f"length of the part that is read, s (default: {duration})",
-    )
-
-
-def add_time_zero(parser: "argparse._ActionsContainer") -> None:
-    """Add ``--time-zero``, the stamp of a file's time 0."""
-    parser.add_argument(
-        "--time-zero",
-        metavar="S",
-        type=_time_zero,
-        help="stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
-    )
-
-
-def add_table(parser: "argparse._ActionsContainer") -> None:
-    """Add what ``table_form`` returns of the form of a table."""
-    add_time_zero(parser)
-    column = (
-        "name of the column of time (default: time, or one such as t, Timestamp (ms), seconds)"
-    )
-    parser.add_argument("--time-column", metavar="NAME", help=column)
-    parser.add_argument(
-        "--frame-rate",
-        metavar="HZ",
-        type=rate,
-        help="makes times of a column of frames or samples, such as 240 or 30000/1001; without"
-        " such a column and without times the rows of a signal are counted",
-    )
-
-
-def add_unusual_table(parser: "argparse._ActionsContainer") -> None:
-    """Add what is rarely said of a table; files of sensors have it under ``table``."""
-    parser.add_argument(
-        "--time-unit",
-        choices=("s", "ms", "us", "ns", "min", "h"),
-        help="of the times (default: that in the header, else s)",
-    )
-    parser.add_argument(
-        "--skip-rows",
-        metavar="N",
-        type=seed,
-        default=0,
-        help="lines at the beginning that are not read (default: those above the header)",
-    )
-    parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
-    parser.add_argument(
-        "--separator",
-        choices=("tab", "semicolon", "comma", "blank"),
-        help="of columns (default: the one that makes most rows alike)",
-    )
-    parser.add_argument(
-        "--decimal",
-        choices=("point", "comma"),
-        help="of numbers (default: either, but point where commas separate columns)",
-    )
-
-
 def table_form(args: argparse.Namespace) -> "TableForm":
     """The form of a table, as far as the command has options of it."""
     from impact_observer.io.tables import TableForm
 
     given = {each.name: getattr(args, each.name, None) for each in fields(TableForm)}
     return TableForm(**{name: value for name, value in given.items() if value is not None})
-
-
-def _time_zero(text: str) -> int:
-    """A stamp in seconds, or 0."""
-    return 0 if text.strip("0.") == "" and "0" in text else stamp(text)
-
-
-def add_bag_output(parser: argparse.ArgumentParser) -> None:
-    """Add the folder of the bag that a command makes."""
-    parser.add_argument(
-        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
-    )
 
 
 def positive(text: str) -> float:
@@ -309,6 +192,11 @@ def stamp(text: str) -> int:
     if nanoseconds == 0:
         raise argparse.ArgumentTypeError("0 found; stamps start above zero")
     return nanoseconds
+
+
+def stamp_or_zero(text: str) -> int:
+    """A stamp in seconds, or 0."""
+    return 0 if text.strip("0.") == "" and "0" in text else stamp(text)
 
 
 def not_negative(text: str) -> float:
@@ -355,3 +243,125 @@ def number(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} found; expected a number")
     return value
+
+
+class Argument(NamedTuple):
+    """An argument that several commands have.
+
+    Attributes:
+        flags: its name, or its flags with a slash between them.
+        meaning: for ``--help``.
+        metavar: name of the value in ``--help``.
+        type: reads the value.
+        more: what else ``add_argument`` takes.
+    """
+
+    flags: str
+    meaning: str
+    metavar: str | None = None
+    type: Callable[[str], object] = str
+    more: Mapping[str, Any] = MappingProxyType({})
+
+
+_SWITCH = {"action": "store_true"}
+SHARED = {
+    "bag": Argument("bag", "a bag's folder, or a bare file", "BAG", Path),
+    "rig": Argument("model", "a model file, or a sample: two_mass, ...", "MODEL"),
+    "model": Argument(
+        "--model", "a model file or a sample (default: the one in the bag)", "MODEL"
+    ),
+    "measurements": Argument(
+        "--measurements", "what sensors measure beside the impacts: a file or a sample", "FILE"
+    ),
+    "rate": Argument("--rate", "estimates, Hz (default: as the truth)", "HZ", positive),
+    "start": Argument(
+        "--start",
+        "beginning of the part that is read, s after the epoch, or without one after the first"
+        " impact (default: from the beginning)",
+        "S",
+        not_negative,
+    ),
+    "duration": Argument(
+        "--duration", "length of the part that is read, s (default: to the end)", "S", positive
+    ),
+    "epoch": Argument(
+        "--epoch", "stamp of t = 0 of the forcing (default: that of the file's time 0)", "S", stamp
+    ),
+    "clock-error": Argument(
+        "--clock-error",
+        "standard deviation of the stamps, s; negative: estimated from them (default -1)",
+        "S",
+        number,
+        {"default": -1.0},
+    ),
+    "sources": Argument(
+        "--sources",
+        "the sensors (docs/detector.md), and under `table` how a table is to be read",
+        "FILE",
+        Path,
+    ),
+    "seed": Argument("--seed", "of all that is random (default 0)", "N", seed, {"default": 0}),
+    "topics": Argument(
+        "--topics", "these topics only (default: all)", "TOPIC", str, {"nargs": "+"}
+    ),
+    "output": Argument("-o/--output", "the folder to make", "BAG", Path, {"required": True}),
+    "plot": Argument("--plot", "a picture to make: PNG, SVG or PDF", "FILE", Path),
+    "json": Argument("--json", "print the results as JSON", more=_SWITCH),
+    "time-zero": Argument(
+        "--time-zero",
+        "stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
+        "S",
+        stamp_or_zero,
+    ),
+    "time-column": Argument(
+        "--time-column",
+        "of the column of time (default: time, or one such as t, Timestamp (ms), seconds)",
+        "NAME",
+    ),
+    "frame-rate": Argument(
+        "--frame-rate",
+        "makes times of a column of frames or samples, such as 240 or 30000/1001; without such a"
+        " column and without times the rows of a signal are counted",
+        "HZ",
+        rate,
+    ),
+    "time-unit": Argument(
+        "--time-unit",
+        "of the times (default: that in the header, else s)",
+        more={"choices": ("s", "ms", "us", "ns", "min", "h")},
+    ),
+    "skip-rows": Argument(
+        "--skip-rows",
+        "lines at the beginning that are not read (default: those above the header)",
+        "N",
+        seed,
+        {"default": 0},
+    ),
+    "sort": Argument("--sort", "the rows may be in any order", more=_SWITCH),
+    "separator": Argument(
+        "--separator",
+        "of columns (default: the one that makes most rows alike)",
+        more={"choices": ("tab", "semicolon", "comma", "blank")},
+    ),
+    "decimal": Argument(
+        "--decimal",
+        "of numbers (default: either, but point where commas separate columns)",
+        more={"choices": ("point", "comma")},
+    ),
+}
+"""By name; a name with hyphens is a flag."""
+PART = ("start", "duration")
+"""The part of a bag that a command reads."""
+TABLE = ("time-zero", "time-column", "frame-rate")
+"""The form of a table, beside what files of sensors have under ``table``."""
+UNUSUAL_TABLE = ("time-unit", "skip-rows", "sort", "separator", "decimal")
+
+
+def add_shared(parser: "argparse._ActionsContainer", *names: str, **meanings: str) -> None:
+    """Add arguments of ``SHARED`` by their names; ``meanings`` are other texts of ``--help``."""
+    for name in names:
+        flags, meaning, metavar, kind, more = SHARED[name]
+        how: dict[str, Any] = {"help": meanings.get(name.replace("-", "_"), meaning), **more}
+        if metavar is not None:
+            how |= {"metavar": metavar, "type": kind}
+        parser.add_argument(*flags.split("/"), **how)

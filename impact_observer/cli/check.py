@@ -8,17 +8,14 @@ is 1; with a warning one can, but something is lost or an option is needed.
 
 import argparse
 import json
-from pathlib import Path
 
-from impact_observer.cli.arguments import add_model
+from impact_observer.cli.arguments import add_shared
 from impact_observer.plain_text import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
-    add_model(parser)
-    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
+    add_shared(parser, "bag", "model", "json")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,10 +10,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import (
-    add_measurements,
-    add_observer_arguments,
-)
+from impact_observer.cli.arguments import add_observer_arguments, add_shared
 from impact_observer.errors import BagError, UsageError
 from impact_observer.options import Options
 from impact_observer.plain_text import say
@@ -29,11 +26,10 @@ _OF_BAGS = ("measurements", "initial_deviation")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
-    add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
+    add_shared(parser, "rig")
     add("bag", metavar="BAG", nargs="?", type=Path, help="a bag with impacts of this model")
-    add_measurements(parser)
+    add_shared(parser, "measurements", "json")
     add_observer_arguments(parser, ("initial_deviation",))
-    add("--json", action="store_true", help="print the results as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

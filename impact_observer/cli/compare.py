@@ -11,16 +11,17 @@ counted separately.
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
-    add_model,
+    PART,
     add_observer_arguments,
-    add_part,
+    add_shared,
     installed_laws,
     observer_options,
 )
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from impact_observer.compare.bag_comparison import BagComparison
     from impact_observer.options import Options
 
-_MOST_LINES = 5
+_MOST_LINES = 3
 """Most contacts that are warned of because the model does not have them."""
 
 
@@ -49,13 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run observers with these laws on each bag, or with all that are installed",
     )
     add_observer_arguments(parser, ("initial_state",))
-    add_model(parser, "a model file or a sample (default: the one in each bag)")
-    parser.add_argument(
-        "--plot", metavar="FILE", type=Path, help="write V over time to a PNG, SVG or PDF"
-    )
-    add_part(parser)
+    add_shared(parser, "model", "plot", *PART, "json", plot="V over time: PNG, SVG or PDF")
     parser.set_defaults(outputs=("plot",))
-    parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,7 +72,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         results = [(bag, _compare_one(bag, options, args)) for bag in args.bags]
     labelled = labelled_by_law(results)
-    _warn_of_unknown_contacts(results, sys.stderr if args.json else sys.stdout)
+    for line in islice(_unknown_contacts(results), _MOST_LINES):
+        say(f"warning: {line}", file=sys.stderr if args.json else sys.stdout)
     if args.json:
         say(json.dumps({law: metrics_of(each) for law, each in labelled.items()}, indent=2))
     else:
@@ -136,25 +133,19 @@ def _options(args: argparse.Namespace) -> "Sequence[Options]":
     return options_of_laws(given, laws)
 
 
-def _warn_of_unknown_contacts(
-    results: "Sequence[tuple[Path, BagComparison]]", lines: TextIO
-) -> None:
-    """Print a line for each contact with impacts that the model does not have."""
-    from impact_observer.draw.reports import counted, listed
-
+def _unknown_contacts(results: "Sequence[tuple[Path, BagComparison]]") -> Iterator[str]:
+    """Contacts with impacts that the model does not have."""
     for bag, result in results:
-        own = result.system.contact_names
-        for name in [each for each in result.impacts if each not in own][:_MOST_LINES]:
-            impacts = f"{bag}: {counted(result.impacts[name].size, 'impact')} of {name}, a contact"
-            impacts += f" that the model {result.system.name} does not have"
-            say(f"warning: {impacts}; expected one of {listed(own, joint=' or ')}", file=lines)
+        for name in result.impacts:
+            if name not in result.system.contact_names:
+                yield f"{bag}: {name} has impacts, and {result.system.name} no such contact"
 
 
 def _compare_one(
     bag: Path, options: "Sequence[Options]", args: argparse.Namespace
 ) -> "BagComparison":
     """Compare one bag, and run observers with these ``options`` on the bag."""
-    from impact_observer.cli.observe import considered_lines, fitted_lines
+    from impact_observer.cli.observe import fitted_to
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_comparison import compare_bag
     from impact_observer.io.bag_part import read_part
@@ -182,10 +173,7 @@ def _compare_one(
             observers,
             progress=lambda what, done, total: progress.step(f"{bag}: {what}", done, total),
         )
-    lines = sys.stderr if args.json else sys.stdout
-    unknowns = [each.law.uncertainty.unknowns for each in observers]
-    considered = [line for each in unknowns for line in considered_lines(read, each)]
-    fitted = fitted_lines(read, [each.last_event for each in observers])
-    for line in dict.fromkeys((*considered, *fitted)):
-        say(printable(f"{bag}: {line}"), file=lines)
+    fitted = fitted_to(read, [each.last_event for each in observers])
+    for line in (*read.doubts, *fitted) if observers else ():
+        tell(f"warning: {printable(f'{bag}: {line}')}")
     return result

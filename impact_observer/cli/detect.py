@@ -12,26 +12,21 @@ a signal is its column, or its channel (channel1); a single one need not be name
 
 import argparse
 import re
-from pathlib import Path
+from itertools import islice
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import (
-    add_bag_output,
-    add_model,
-    add_part,
-    add_table,
-    stamp,
-    table_form,
-)
+from impact_observer.cli.arguments import PART, TABLE, add_shared, table_form
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from impact_observer.cli.progress import Progress
-    from impact_observer.detector import SensorCounts, Source
+    from impact_observer.detector import Source
     from impact_observer.detector.bag_detection import BagDetection
+    from impact_observer.draw.reports import TextTable
     from impact_observer.model import Model
 
+_MOST_REMARKS = 3
 _TEXTS = {
     "contact": "name of the contact in the model (default: the only one of --model)",
     "topic": "where its sensor publishes; of a signal, its column (default: the only one)",
@@ -51,32 +46,25 @@ _NUMBERS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    add = parser.add_argument
-    signal = "or a signal: .csv, .txt, .tsv, .dat, .wav, .flac, .ogg"
-    add("bag", metavar="BAG", type=Path, help=f"a bag of sensors, {signal}")
-    sources = "the sensors, docs/detector.md, and under `table` how a signal's table is to be read"
-    add("--sources", metavar="FILE", type=Path, help=sources)
+    signal = "a bag of sensors, or a signal: .csv, .txt, .tsv, .dat, .wav, .flac, .ogg"
+    add_shared(parser, "bag", "sources", bag=signal)
     for name, meaning in _TEXTS.items():
-        add(_option(name), metavar=name.upper(), help=meaning)
+        parser.add_argument(_option(name), metavar=name.upper(), help=meaning)
     for name, meaning in _NUMBERS.items():
-        add(_option(name), metavar="X", type=float, help=meaning)
-    add_model(parser, "a model file or a sample, to be put into the bag")
+        parser.add_argument(_option(name), metavar="X", type=float, help=meaning)
+    model = "a model file or a sample, to be put into the bag"
     epoch = "stamp of t = 0 (default: unknown; of a signal, that of the file's time 0)"
-    add("--epoch", metavar="S", type=stamp, help=epoch)
+    plot = "the signals with thresholds, impacts and dead times"
+    add_shared(parser, "model", "epoch", *PART, "plot", model=model, epoch=epoch, plot=plot)
     pulses = (
-        "index pulses of a drive, of which the first is the epoch: in a bag a topic of"
-        " std_msgs/Header (default: /phase_reference), of a signal the column whose rising edges"
-        " they are"
+        "index pulses of a drive, of which the first is the epoch: a topic of Header (default:"
     )
-    add("--pulses", metavar="TOPIC", help=pulses)
-    add_part(
-        parser, zero="the epoch, or without one after the first message; of a signal, file time"
-    )
-    picture = "a picture of the signals with threshold, impacts, dead times and what lay in them"
-    add("--plot", metavar="FILE", type=Path, help=picture)
+    pulses += " /phase_reference), or the column of a signal whose rising edges they are"
+    parser.add_argument("--pulses", metavar="TOPIC", help=pulses)
     parser.set_defaults(outputs=("plot",))
-    add_bag_output(parser)
-    add_table(parser.add_argument_group("a signal", "how its table is to be read"))
+    add_shared(parser, "output")
+    group = parser.add_argument_group("a signal", "how its table is to be read")
+    add_shared(group, *TABLE)
 
 
 def _option(name: str) -> str:
@@ -86,6 +74,7 @@ def _option(name: str) -> str:
 def run(args: argparse.Namespace) -> int:
     """Write a bag with the impacts detected in another one, or in a signal."""
     from impact_observer.cli.progress import Progress
+    from impact_observer.draw.reports import print_table
     from impact_observer.errors import UsageError
     from impact_observer.io.bag_topics import SIGNAL_FILES
     from impact_observer.model import read_model
@@ -95,28 +84,15 @@ def run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         check_output(args.plot)
     if is_signal and args.pulses is not None and args.pulses == args.topic:
-        raise UsageError(
-            f"--pulses {args.pulses}: the column of the signal found; expected another one, whose"
-            " rising edges are the pulses of the drive"
-        )
+        raise UsageError(f"--pulses {args.pulses}: the signal itself; expected another column")
     model = None if args.model is None else read_model(args.model)
     with Progress() as progress:
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)
-        for k, source in enumerate(result.sources):
-            counts, dead, rise = result.counts[k], result.dead_times[k], result.rises[k]
-            what = f"{source.topic}, {source.kind}, dead time {source.dead_time:g} s"
-            if dead.suppressed:
-                what += f", {dead.suppressed} suppressed in it"
-            if short := dead.short_releases:
-                what += f", {short} {'release' if short == 1 else 'releases'} no longer than it"
-            if rise > 0:
-                what += f", stamps {1e3 * rise:.2g} ms after the threshold, on average:"
-                what += " a constant part is --latency"
-            progress.line(f"{source.contact}: {_in_words(counts)} ({what})")
+        print_table(_table(result))
         if result.part is not None:
             progress.line(f"part: {result.part.words}")
         progress.line(f"{args.output}: {result.events} events")
-        for line in (*result.doubts, *result.problems):
+        for line in islice((*result.doubts, *result.problems), _MOST_REMARKS):
             progress.line(f"warning: {line}")
         if args.plot is not None and result.zero is not None:
             from impact_observer.draw.detections import detection_picture
@@ -261,7 +237,17 @@ def _topic(args: argparse.Namespace, columns: "Mapping[str, str]") -> str:
     return absolute(args.topic)
 
 
-def _in_words(counts: "SensorCounts") -> str:
-    """The number of detected impacts in words."""
-    impacts = f"{counts.impacts} impact{'' if counts.impacts == 1 else 's'}"
-    return f"{impacts}, {counts.closings} of them persistent" if counts.closings else impacts
+def _table(result: "BagDetection") -> "TextTable":
+    """What was found by each sensor; ``late`` is the mean time from threshold to stamp."""
+    from impact_observer.draw.reports import TextTable
+
+    headings = ("contact", "sensor", "dead time [s]", "impacts", "persistent", "suppressed")
+    rows = []
+    for k, source in enumerate(result.sources):
+        counts, dead = result.counts[k], result.dead_times[k]
+        numbers = counts.impacts, counts.closings, dead.suppressed, dead.short_releases
+        sensor = f"{source.topic}, {source.kind}"
+        late = f"{1e3 * result.rises[k]:.2g}" if result.rises[k] > 0 else ""
+        time = f"{source.dead_time:g}"
+        rows.append([source.contact, sensor, time, *map(str, numbers), late])
+    return TextTable((*headings, "short releases", "late [ms]"), rows, words=("sensor",))

@@ -13,7 +13,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_part
+from impact_observer.cli.arguments import PART, add_shared
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "%(prog)s BAG -o FILE [--what {states,errors,events} | --impacts] [--topics TOPIC ...] "
         "[--model MODEL] [--start S] [--duration S]"
     )
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
+    add_shared(parser, "bag", "topics", "model", *PART)
     parser.add_argument(
         "-o",
         "--output",
@@ -50,14 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="what",
         help="speeds, impulse and energy of each impact, as observe and smooth estimate them",
     )
-    parser.add_argument(
-        "--topics",
-        metavar="TOPIC",
-        nargs="+",
-        help="topics, or observers, only (default: all; of states with the truth)",
-    )
-    add_model(parser, "for V: a model file or a sample (default: the one in the bag)")
-    add_part(parser)
 
 
 def run(args: argparse.Namespace) -> int:

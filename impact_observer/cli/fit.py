@@ -11,7 +11,7 @@ of the drive is free. The folder has fitted.yaml, impacts.csv, motion.png and th
 import argparse
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_time_zero, number, stamp
+from impact_observer.cli.arguments import add_shared
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,22 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("recording", metavar="RECORDING", type=Path, help="a WAV, a table (CSV, TXT), or a bag")
     add("model", metavar="MODEL", help="a model file, or a sample")
     add("-o", "--output", metavar="FOLDER", type=Path, required=True, help="a folder to make")
-    add(
-        "--sources",
-        metavar="FILE",
-        type=Path,
-        help="sensors (docs/detector.md), and under `table` the options of a table, such as"
-        " {skip_rows: 3}",
-    )
-    add("--epoch", metavar="S", type=stamp, help="stamp of t = 0 of forces (default: unknown)")
-    add(
-        "--clock-error",
-        metavar="S",
-        type=number,
-        default=-1.0,
-        help="standard deviation of the stamps, s; negative: estimated from them (default -1)",
-    )
-    add_time_zero(parser)
+    epoch = "stamp of t = 0 of forces (default: unknown)"
+    add_shared(parser, "sources", "epoch", "clock-error", "time-zero", epoch=epoch)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,15 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from impact_observer.cli.arguments import (
-    add_measurements,
-    add_model,
-    add_part,
-    number,
-    stamp,
-)
+from impact_observer.cli.arguments import PART, add_shared, number
 from impact_observer.errors import BagError, UsageError
-from impact_observer.options import Options
+from impact_observer.options import OBSERVER_OPTIONS, Options
 from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
@@ -36,69 +30,24 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
-    add_model(parser)
-    add_measurements(parser)
-    add_part(parser)
-    parser.add_argument(
-        "--free",
-        metavar="LIST",
-        default="",
-        help="what to identify, with commas, such as gap.stop or stiffness.ground-x1, or without"
-        " the part after the dot all of a kind; docs/fitting.md has all names",
-    )
-    parser.add_argument(
-        "--clock-error",
-        metavar="S",
-        type=number,
-        default=-1.0,
-        help="standard deviation of the stamps, s; negative: estimated from them (default -1)",
-    )
-    parser.add_argument(
-        "--dead-time",
-        metavar="S",
-        type=number,
-        default=Options.dead_time,
-        help="time after an event in which the sensor reports no other hit of that contact, s:"
-        " hits then are no missed detections (default 0)",
-    )
-    parser.add_argument(
-        "--mislabelled",
-        metavar="P",
-        type=number,
-        default=Options.mislabelled,
-        help="probability that an impact is reported for another contact, such as 0.5 for one"
-        f" sensor of two contacts; 0: never (default {Options.mislabelled:g})",
-    )
-    parser.add_argument(
-        "--epoch",
-        metavar="S",
-        type=stamp,
-        default=0,
-        help="stamp of t = 0 of the forcing (default: as in the bag)",
-    )
-    parser.add_argument(
-        "--check",
-        action="store_true",
-        help="only check whether the model fits the times",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE",
-        type=Path,
-        help="write the model with the identified values, as YAML",
-    )
-    parser.add_argument(
-        "--initial-state",
-        action="store_true",
-        help="write the identified initial state into the model too",
-    )
-    parser.add_argument(
-        "--plot", metavar="FILE", type=Path, help="write the errors of the stamps: PNG, SVG, PDF"
-    )
+    epoch = "stamp of t = 0 of the forcing (default: as in the bag)"
+    plot = "the errors of the stamps: PNG, SVG, PDF"
+    add_shared(parser, "bag", "model", "measurements", *PART, "clock-error")
+    add_shared(parser, "epoch", "plot", "json", epoch=epoch, plot=plot)
+    add = parser.add_argument
+    free = "what to identify, with commas, such as gap.stop, or gap for all of a kind"
+    add("--free", metavar="LIST", default="", help=f"{free}; docs/fitting.md has all names")
+    for name, metavar in (("dead_time", "S"), ("mislabelled", "P")):
+        option = next(each for each in OBSERVER_OPTIONS if each.name == name)
+        shown = f"{option.meaning} (default {option.default})"
+        flag, default = option.long_flag, option.default
+        add(flag, metavar=metavar, type=number, default=default, help=shown)
+    add("--check", action="store_true", help="only check whether the model fits the times")
+    model = "write the model with the identified values, as YAML"
+    add("-o", "--output", metavar="FILE", type=Path, help=model)
+    start = "write the identified initial state into the model too"
+    add("--initial-state", action="store_true", help=start)
     parser.set_defaults(outputs=("output", "plot"))
-    parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -141,12 +90,8 @@ def run(args: argparse.Namespace) -> int:
             raise type(error)(f"{args.bag}: {error}") from None
     _print(args, fit)
     if given.unused and not fit.fit.is_settled:
-        say(
-            f"note: {args.bag} has joints on {listed(given.unused)}: if they are of an encoder,"
-            " declare them by --measurements FILE, whose samples find a motion where impacts alone"
-            " do not (docs/nodes.md)",
-            file=lines,
-        )
+        joints = f"{args.bag} has joints on {listed(given.unused)}"
+        say(f"note: {joints}: --measurements FILE uses encoders (docs/nodes.md)", file=lines)
     good = not why_useless(fit) and fit.verdict.fits
     if args.output is not None:
         good = _write(args, fit, given.text) and good
@@ -217,10 +162,7 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
     zero, prior = TimeZero(epoch, assumed.instant), model.uncertainty
     if prior is not None and prior.is_fitted_to(each.stamp for each in events):
         prior = None
-        tell(
-            "note: the model was fitted to these impacts: its deviations are no prior of the fit,"
-            " which would count these impacts twice"
-        )
+        tell("note: the model was fitted to these impacts: its deviations are no prior here")
     return _Given(given, model, system, events, declared, recorded.samples, zero, unused, prior)
 
 
@@ -256,10 +198,7 @@ def _check_usage(args: argparse.Namespace, free: tuple[str, ...], clock: float |
     if args.check and (free or args.output):
         raise UsageError("--check identifies nothing; expected no --free and no -o beside it")
     if args.check and clock is None:
-        raise UsageError(
-            "--check: no --clock-error declared; expected the standard deviation of a stamp, s:"
-            " without one an error of the model looks like one of the clock"
-        )
+        raise UsageError("--check: no --clock-error; expected the deviation of a stamp, s")
     if not args.check and not free:
         raise UsageError("--free: names no parameter; expected some, such as restitution,gap")
     if args.plot is not None:

@@ -9,14 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import (
-    add_bag_output,
-    add_model,
-    add_table,
-    add_unusual_table,
-    stamp,
-    table_form,
-)
+from impact_observer.cli.arguments import TABLE, UNUSUAL_TABLE, add_shared, table_form
 
 if TYPE_CHECKING:
     from impact_observer.io.import_table import Imported
@@ -26,16 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
     add("csv", metavar="CSV", type=Path, help="the file of impact times")
-    add_bag_output(parser)
-    add_model(parser, "a model file or a sample, to be put into the bag")
-    add_table(parser)
-    add_unusual_table(parser)
-    add(
-        "--epoch",
-        metavar="S",
-        type=stamp,
-        help="stamp of t = 0 of the forcing (default: that of the file's time 0)",
-    )
+    model = "a model file or a sample, to be put into the bag"
+    add_shared(parser, "output", "model", "epoch", *TABLE, *UNUSUAL_TABLE, model=model)
     truth = "a file of true states: time, and q_NAME and u_NAME of each coordinate of --model"
     add("--truth", metavar="CSV", type=Path, help=truth)
     samples = "tables of an encoder, a camera, a tracker: each a topic named as the file, for"

@@ -38,90 +38,6 @@ COMMANDS = {
     "record": "record topics into a bag",
     "watch": "a live view of plant and observers in the terminal",
 }
-GONE = {
-    "animate": "plot",
-    "info": "check",
-    "observability": "check-model MODEL BAG",
-    "figure": "compare --figure MODEL --plot FILE",
-    "layout": "the files in layouts/",
-    "urdf": "a robot has a URDF of its own",
-}
-"""What to use instead of the commands that went in 0.4.0."""
-_OBSERVE = "observe with the option, then compare with its bag"
-_ONE_RUN = "simulate and observe"
-_IN_SOURCES = "the keys of a sensor in the file of --sources"
-_IN_TABLE = "the key table in the file of --sources"
-GONE_OPTIONS = {
-    "--deviation": "--initial-deviation",
-    "--compression": "zstd",
-    "--force": "another name; no file is replaced",
-    "--namespace": "a bag of the topics of one rig",
-    "--most-estimates": "--rate, --start and --duration",
-    "--parameter-drift": "parts of the recording, by --start and --duration",
-    "--agreed": "convergence of the estimates, in J",
-    "fit --time-unit": _IN_TABLE,
-    "fit --time-column": _IN_TABLE,
-    "fit --sort": _IN_TABLE,
-    "fit --separator": _IN_TABLE,
-    "fit --decimal": _IN_TABLE,
-    "fit --skip-rows": _IN_TABLE,
-    "fit --frame-rate": _IN_TABLE,
-    "detect --time-unit": _IN_TABLE,
-    "detect --sort": _IN_TABLE,
-    "detect --separator": _IN_TABLE,
-    "detect --decimal": _IN_TABLE,
-    "detect --skip-rows": _IN_TABLE,
-    "detect --kind": _IN_SOURCES,
-    "detect --direction": _IN_SOURCES,
-    "detect --min-contact-duration": _IN_SOURCES,
-    "detect --stamp": _IN_SOURCES,
-    "detect --hysteresis": _IN_SOURCES,
-    "detect --inverted": _IN_SOURCES,
-    "compare --observers": "a bag whose topics are /observer_NAME/joint_states",
-    "compare --truth": "a bag whose truth is /plant/joint_states",
-    "compare --clock-error": _OBSERVE,
-    "compare --initial-deviation": _OBSERVE,
-    "compare --clock-offset-error": _OBSERVE,
-    "compare --missed": _OBSERVE,
-    "compare --spurious": _OBSERVE,
-    "compare --mislabelled": _OBSERVE,
-    "compare --dead-time": _OBSERVE,
-    "compare --model-error": _OBSERVE,
-    "compare --estimate-parameters": _OBSERVE,
-    "compare --epoch": _OBSERVE,
-    "compare --csv": "--json",
-    "compare --from": "--start",
-    "--settled": "V of export --what errors; the ratio is 0.01",
-    "--horizon": "--duration",
-    "--held-back": "nothing; the last fifth is held back",
-    "--accept": "the file, which is written where a model does not fit, too",
-    "--trust-events": "nothing; a search is made only where reported impacts do not fit",
-    "play --start": "export or observe of a part, or ros2 bag play",
-    "play --duration": "--topics, and Ctrl-C",
-    "--no-clock": "ros2 bag play where another clock runs",
-    "demo --rate": "simulate and observe",
-    "--tolerance": "the singular values of --json",
-    "--measurement-noise": "the deviation in the file of --measurements",
-    "sweep --epoch": "an epoch of 1 s",
-    "sweep --clock-offset-error": _ONE_RUN,
-    "sweep --observer-missed": _ONE_RUN,
-    "sweep --observer-spurious": _ONE_RUN,
-    "sweep --observer-mislabelled": _ONE_RUN,
-    "sweep --observer-dead-time": _ONE_RUN,
-    "sweep --estimate-parameters": _ONE_RUN,
-    "plot --observers": "a bag of one observer",
-    "export --epoch": "the column stamp_ns",
-    "simulate --epoch": "an epoch of 1 s",
-    "demo --initial-state": "random:1",
-    "check-model --plot": "--json",
-    "watch --json": "export of a recorded bag",
-    "watch --observers": "nothing; all are shown",
-    "record --use-sim-time": "the stamps of the headers",
-    "play --delay": "nothing; 5 s",
-    "--flush": "nothing; a recorder writes to the disk every second",
-    "--remap": "remappings of the nodes that listen",
-}
-"""What to use instead of options that went in 0.4.0, of all commands or of the one named."""
 _OPTION = re.compile(r"--[a-z][a-z-]*")
 _NEGATIVE = re.compile(r"-\.?\d")
 
@@ -141,14 +57,6 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End with a line and exit code 2."""
         self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
-
-    def refuse(self, words: Sequence[str]) -> NoReturn:
-        """End with the unknown ``words``, or with what to use instead of an option that went."""
-        for option in (word.partition("=")[0] for word in words):
-            of_command = f"{self.prog.removeprefix(PROGRAM).strip()} {option}"
-            if remedy := GONE_OPTIONS.get(of_command) or GONE_OPTIONS.get(option):
-                self.error(f"{option} went in 0.4.0; use {remedy}")
-        self.error(f"unrecognized arguments: {' '.join(words)}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -185,8 +93,6 @@ def _run(argv: Sequence[str]) -> int:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     command = next((word for word in argv if not word.startswith("-")), "")
-    if command in GONE:
-        sys.stderr.write(f"{PROGRAM}: {command} went in 0.4.0: {GONE[command]}\n")
     for name, summary in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=summary)
         if name == command:  # only the module that is needed is imported: --help stays quick
@@ -196,7 +102,10 @@ def _run(argv: Sequence[str]) -> int:
             module.add_arguments(subparser)
     args, unknown = parser.parse_known_args(_joined(argv))
     if unknown:
-        subparsers.choices[args.command].refuse(unknown)
+        words = " ".join(unknown)
+        subparsers.choices[args.command].error(
+            f"unrecognized arguments: {words}; CHANGELOG.rst has what went in 0.4.0"
+        )
     if outputs := getattr(args, "outputs", ()):
         from impact_observer.output_files import check_outputs
 

@@ -3,61 +3,50 @@
 
 import argparse
 import gc
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
-    add_bag_output,
-    add_estimates,
-    add_measurements,
-    add_model,
+    PART,
     add_observer_arguments,
-    add_part,
+    add_shared,
     observer_options,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from impact_observer.filter.contradiction import Contradiction
-    from impact_observer.filter.unknown_parameters import UnknownParameters
+    from impact_observer.draw.reports import TextTable
+    from impact_observer.events import Ruling
     from impact_observer.model import Model
     from impact_observer.observer import Observer
 
 _COMPONENTS = 12
-"""Most positions and velocities whose deviations are printed."""
+"""Most positions and velocities in the table of deviations."""
 _SOURCES, _SMALL_SHARE = 3, 0.05
 """Most sources of a deviation that are printed, and the least share of its variance."""
 _DOUBTED, _FEW = 0.25, 5
 """Share of the events, and least number of them, whose rejection makes the model doubtful."""
 _SURE = 10.0
 """Deviations beyond which an offset of the clock that nobody has declared is named."""
-_UNDETERMINED = 0.9
-"""Least ratio of posterior to prior standard deviation of a parameter that is not determined."""
+MOST_REMARKS = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="a bag with impacts")
-    add_model(parser)
-    add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
+    add_shared(parser, "bag", "model")
+    parser.add_argument(
+        "--law", metavar="LAW", default="geometric", help="of the observer (default geometric)"
+    )
     add_observer_arguments(parser)
     add_observer_arguments(parser, ("ensemble",))
-    add_measurements(parser)
-    add_part(parser)
-    add_estimates(parser)
-    add_bag_output(parser)
+    add_shared(parser, "measurements", *PART, "rate", "output")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
     from impact_observer.cli.progress import Progress
-    from impact_observer.draw.reports import counted
-    from impact_observer.events import Remark, Ruling
-    from impact_observer.filter.misfit import MISFIT
+    from impact_observer.draw.reports import print_table
     from impact_observer.io.bag_part import assumed_epoch, read_impacts_part
     from impact_observer.io.measured_samples import MeasuredTopics
     from impact_observer.io.observed_bag import events_from, observe_bag
@@ -78,17 +67,7 @@ def run(args: argparse.Namespace) -> int:
         assumed = assumed_epoch(read.subject, events, used, chosen.epoch)
         chosen = replace(chosen, epoch=chosen.epoch or assumed.stamp)
         observer = make_observer(read, chosen, measurements=sensors)
-        for line in (*measured.problems, *unused_lines(observer)):
-            progress.line(f"warning: {line}")
-        noted = [f"note: {assumed.note}"] * bool(assumed.note)
-        torques = torque_lines(read) if observer.law.has_covariance else ()
-        considered = considered_lines(read, observer.law.uncertainty.unknowns)
-        for line in (*noted, *considered, *torques):
-            progress.line(line)
-
-        def show(done: int, total: int) -> None:
-            progress.step(chosen.law, done, total)
-
+        warnings = [*measured.problems]
         gc.freeze()  # what is loaded stays: no collection of garbage looks through it again
         count, rulings = observe_bag(
             reader,
@@ -97,191 +76,130 @@ def run(args: argparse.Namespace) -> int:
             rate=args.rate,
             epoch=chosen.epoch,
             measured=measured,
-            progress=show,
-            warn=lambda line: progress.line(f"warning: {line}"),
+            progress=lambda done, total: progress.step(chosen.law, done, total),
+            warn=warnings.append,
         )
-        verdicts = [
-            f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()
-        ]
-        decided = f"verdicts: {', '.join(verdicts) or 'none'}"
-        if inserted := rulings.get(Ruling.INSERTED, 0):
-            predicted = rulings.get(Ruling.APPLIED, 0) + inserted
-            share = (predicted - inserted) / predicted
-            decided += f"; {share:.0%} of {predicted} predicted impacts were reported"
-        progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
-        rejected = rulings.get(Ruling.REJECTED, 0)
-        judged = rejected + rulings.get(Ruling.APPLIED, 0)
-        if rejected >= _FEW and rejected > _DOUBTED * judged:
-            progress.line(
-                f"warning: {rejected} of {judged} impacts rejected: the model does not explain"
-                " them"
-            )
-        for line in closing_lines(read, observer):
-            progress.line(line)
-        if unexplained := observer.remarks[Remark.MISFIT]:
-            latest = observer.estimate(observer.last_event).misfit
-            many = counted(unexplained, "event")
-            progress.line(f"warning: at {many} {latest or MISFIT}")
+        if assumed.note:
+            progress.line(f"note: {assumed.note}")
+        progress.line(
+            f"{args.output}: {chosen.law}, {count} estimates, verdicts: {in_words(rulings)}"
+        )
+        tables = components(observer), parameters(read, observer), samples(observer)
+        for table in (each for each in tables if each.rows):
+            print_table(table)
+        warnings += remarks(read, observer, rulings)
+        for line in islice(warnings, MOST_REMARKS):
+            progress.line(f"warning: {line}")
     return 0
 
 
-def closing_lines(model: "Model", observer: "Observer") -> "Iterator[str]":
-    """What is said of the estimate, of what was learned, and of data used twice."""
-    from impact_observer.filter.contradiction import contradictions
-    from impact_observer.stamps import seconds_between
-
-    yield from source_lines(observer)
-    yield from parameter_lines(observer)
-    if observer.last_event:
-        declared = observer.law.uncertainty.declared_constants
-        learned = observer.estimate(observer.last_event).parameters
-        yield from contradiction_lines(contradictions(learned, declared), observer.system.unit)
-        yield from late_lines(observer)
-    yield from sample_lines(observer)
-    yield from fitted_lines(model, (observer.last_event,))
-    if model.robot is None and observer.last_event and observer.epoch:
-        seconds = seconds_between(observer.epoch, observer.last_event)
-        if warning := model.system.held_force(seconds):
-            yield f"warning: {warning}"
+def in_words(rulings: "Mapping[Ruling, int]") -> str:
+    """How many events have each verdict."""
+    words = (f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items())
+    return ", ".join(words) or "none"
 
 
-def source_lines(observer: "Observer") -> "Iterator[str]":
+def components(observer: "Observer") -> "TextTable":
     """The deviation of each component in the last flights, and its largest sources."""
-    from impact_observer.draw.reports import figure, listed
+    from impact_observer.draw.reports import TextTable, figure, listed
 
-    if (found := observer.deviation_sources()) is None:
-        return
-    system = observer.system
-    names = zip(system.state_names, system.state_units, strict=True)
-    for i, (name, unit) in enumerate(islice(names, _COMPONENTS)):
-        shares = sorted(((share[i], of) for of, share in found.shares.items()), reverse=True)
-        largest = [f"{share:.0%} {of}" for share, of in shares[:_SOURCES] if share > _SMALL_SHARE]
-        deviation = figure(float(found.deviations[i]), unit)
-        yield f"deviation of {name}: {deviation} in the last flights, from {listed(largest)}"
-    if (more := 2 * system.n - _COMPONENTS) > 0:
-        yield f"and {more} more deviations"
+    rows = []
+    if (found := observer.deviation_sources()) is not None:
+        names = zip(observer.system.state_names, observer.system.state_units, strict=True)
+        for i, (name, unit) in enumerate(islice(names, _COMPONENTS)):
+            shares = sorted(((share[i], of) for of, share in found.shares.items()), reverse=True)
+            large = [f"{part:.0%} {of}" for part, of in shares[:_SOURCES] if part > _SMALL_SHARE]
+            rows.append([name, figure(float(found.deviations[i]), unit), listed(large)])
+    headings = ("component", "deviation in the last flights", "from")
+    return TextTable(headings, rows, words=headings)
 
 
-def unused_lines(observer: "Observer") -> "Iterator[str]":
-    """A line if measurements are given that the law does not use."""
-    law = observer.law
-    if observer.samples.sensors and not law.uses_measurements:
-        names = ", ".join(each.name for each in observer.samples.sensors)
-        yield f"{law.name} uses no measurements: {names} left out; --law minimum-variance does"
-
-
-def _names_with_units(model: "Model", unknowns: "UnknownParameters") -> list[str]:
-    """The names of parameters, each with its unit."""
+def parameters(model: "Model", observer: "Observer") -> "TextTable":
+    """The parameters with a deviation, as declared and as learned with the state."""
+    from impact_observer.draw.reports import TextTable, figure
     from impact_observer.model.free_parameters import with_unit
 
-    if model.robot is None:
-        return [with_unit(name, model.system.unit) for name in unknowns.family.names]
-    parameters = unknowns.family.parameters
-    return [f"{each.name} [{each.unit}]" if each.unit else each.name for each in parameters]
+    unknowns, rows = observer.law.uncertainty.unknowns, dict[str, list[str]]()
+    if unknowns is not None:
+        family, sizes = unknowns.family, unknowns.deviations.tolist()
+        units = {each.name: f" [{each.unit}]" for each in family.parameters if each.unit}
+        for name, value, size in zip(family.names, family.nominal.tolist(), sizes, strict=True):
+            declared = figure(value, deviation=size)
+            rows[name] = [name + units.get(name, ""), declared, ""]
+    latest = observer.estimate(observer.last_event).parameters if observer.last_event else ()
+    for name, value, size in latest:
+        unit = model.system.unit if model.robot is None else ""
+        row = rows.setdefault(name, [with_unit(name, unit), "", ""])
+        row[2] = figure(value, deviation=size)
+    return TextTable(("parameter", "declared", "learned"), [*rows.values()])
 
 
-def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "Iterator[str]":
-    """The parameters of a model whose deviations count, and what these do not contain."""
-    from impact_observer.draw.reports import figure
+def samples(observer: "Observer") -> "TextTable":
+    """What became of the samples of each sensor."""
+    from impact_observer.draw.reports import TextTable
 
-    if unknowns is not None and any(unknowns.considered):
-        each = zip(
-            _names_with_units(model, unknowns),
-            unknowns.considered,
-            unknowns.family.nominal.tolist(),
-            unknowns.deviations.tolist(),
-            strict=True,
-        )
-        texts = [
-            f"{name} {figure(value, deviation=deviation)}"
-            for name, considered, value, deviation in each
-            if considered
-        ]
-        yield f"considered: {', '.join(texts)}"
-    yield from (f"warning: {doubt}" for doubt in model.doubts)
+    kinds = ("samples", "accepted", "rejected", "unused", "invalid", "dropped")
+    sensors = zip(observer.samples.sensors, observer.samples.counts, strict=True)
+    rows = [[sensor.name, *(str(counts[kind]) for kind in kinds)] for sensor, counts in sensors]
+    return TextTable(("sensor", *kinds), rows)
 
 
-def torque_lines(model: "Model") -> "Iterator[str]":
-    """Lines on the torques of a robot that an observer does not know, or not from the model."""
-    if (robot := model.robot) is not None:
-        yield from (f"{kind}: {text}" for kind, text in robot.torque_remarks)
+def remarks(
+    model: "Model", observer: "Observer", rulings: "Mapping[Ruling, int]"
+) -> Iterator[str]:
+    """What makes the estimates doubtful, the worst first."""
+    from impact_observer.draw.reports import counted
+    from impact_observer.events import Remark, Ruling
+    from impact_observer.filter.misfit import MISFIT
 
-
-def fitted_lines(model: "Model", stamps: "Iterable[int]") -> "Iterator[str]":
-    """A line if a model was fitted to the impacts at ``stamps``, ns."""
-    if model.uncertainty is not None and model.uncertainty.is_fitted_to(stamps):
-        yield (
-            "note: the model was fitted to these impacts: its errors and those of the estimates"
-            " come from the same stamps"
-        )
-
-
-def sample_lines(observer: "Observer") -> "Iterator[str]":
-    """Counts of accepted and other samples of each sensor."""
-    from impact_observer.observer.samples import MOST_KEPT
-    from impact_observer.plain_text import part_left_out
-
-    for sensor, counts in zip(observer.samples.sensors, observer.samples.counts, strict=True):
-        kinds = ("accepted", "rejected", "unused", "invalid", "dropped")
-        used = ", ".join(f"{counts[kind]} {kind}" for kind in kinds if counts[kind])
-        if dropped := counts["dropped"]:
-            why = f"more than {MOST_KEPT} waited to be used"
-            part = part_left_out(dropped, counts["samples"], "samples", why)
-            yield f"warning: {sensor.name}: {part}"
-        yield f"{sensor.name}: {counts['samples']} samples: {used or 'none used yet'}"
+    law, samples_of = observer.law, observer.samples
+    if unexplained := observer.remarks[Remark.MISFIT]:
+        latest = observer.estimate(observer.last_event).misfit
+        yield f"at {counted(unexplained, 'event')} {latest or MISFIT}"
+    rejected = rulings.get(Ruling.REJECTED, 0)
+    judged = rejected + rulings.get(Ruling.APPLIED, 0)
+    if rejected >= _FEW and rejected > _DOUBTED * judged:
+        yield f"{rejected} of {judged} impacts rejected: the model does not explain them"
+    if observer.last_event:
+        yield from contradictions_of(observer)
+    yield from model.doubts
+    yield from fitted_to(model, (observer.last_event,))
+    if samples_of.sensors and not law.uses_measurements:
+        names = ", ".join(each.name for each in samples_of.sensors)
+        yield f"{law.name} uses no measurements: {names} left out; --law minimum-variance does"
+    for sensor, counts in zip(samples_of.sensors, samples_of.counts, strict=True):
         doubt = sensor.measurement.doubt(counts["samples"], counts["rejected"])
         if doubt and observer.robot is None:
-            yield f"warning: {doubt}"
+            yield doubt
+    if model.robot is not None and law.has_covariance:
+        yield from (text for _, text in model.robot.torque_remarks)
+    if model.robot is None and observer.last_event and observer.epoch:
+        seconds = (observer.last_event - observer.epoch) / 1e9
+        yield from filter(None, [model.system.held_force(seconds)])
 
 
-def parameter_lines(observer: "Observer") -> "Iterator[str]":
-    """Parameters that an observer has estimated with the state, after the last event."""
+def fitted_to(model: "Model", stamps: Iterable[int]) -> Iterator[str]:
+    """A remark if a model was fitted to the impacts at ``stamps``, ns."""
+    if model.uncertainty is not None and model.uncertainty.is_fitted_to(stamps):
+        yield "the model was fitted to these impacts: its errors and those of estimates are one"
+
+
+def contradictions_of(observer: "Observer") -> Iterator[str]:
+    """What was learned, and is far from what was declared."""
     from impact_observer.draw.reports import figure
-    from impact_observer.model.free_parameters import with_unit
+    from impact_observer.filter.contradiction import contradictions
 
-    if not observer.last_event:
-        return
-    unknowns = observer.law.uncertainty.unknowns
-    names, priors = ((), ()) if unknowns is None else (unknowns.family.names, unknowns.deviations)
-    prior = dict(zip(names, priors, strict=True))
-    for name, value, deviation in observer.estimate(observer.last_event).parameters:
-        is_learned = deviation < _UNDETERMINED * prior.get(name, float("inf"))
-        words = "learned" if is_learned else "not determined by these impacts"
-        known = figure(value, deviation=deviation)
-        yield f"{words}: {with_unit(name, observer.system.unit)} {known}"
-
-
-def late_lines(observer: "Observer") -> "Iterator[str]":
-    """A line if stamps are late, or early, by what nobody has declared."""
-    if observer.law.uncertainty.clock_offset_error:
-        return
-    for name, value, deviation in observer.estimate(observer.last_event).parameters:
-        if name == "clock_offset" and abs(value) > _SURE * deviation:
-            side = "late" if value > 0 else "early"
-            yield (
-                f"warning: stamps are {abs(value):.3g} s {side}, and no --clock-offset-error is"
-                " declared"
-            )
-
-
-def contradiction_lines(found: "Sequence[Contradiction]", unit: str) -> "Iterator[str]":
-    """A line that names the learned values that contradict the declared ones."""
-    from impact_observer.draw.reports import figure
-    from impact_observer.model.free_parameters import with_unit
-
-    if not found:
-        return
-    texts = []
-    for each in found:
-        own, learned = each.declared, figure(each.value, deviation=each.deviation)
-        given = figure(own.value, deviation=own.deviation)
-        bounds = ", outside its bounds" if each.is_outside else ""
-        texts.append(
-            f"{with_unit(own.name, unit)} {learned}, declared {given} ({each.far:.1f}"
-            f" deviations{bounds})"
+    learned = observer.estimate(observer.last_event).parameters
+    declared = observer.law.uncertainty.declared_constants
+    for each in contradictions(learned, declared):
+        found = figure(each.value, deviation=each.deviation)
+        given = figure(each.declared.value, deviation=each.declared.deviation)
+        yield (
+            f"learned {each.declared.name} {found} contradicts the declared {given}: widen its"
+            " deviation, or give --model-error (docs/troubles.md)"
         )
-    yield (
-        f"warning: learned values contradict the declared ones: {'; '.join(texts)}: as"
-        " declared the model does not explain the impacts: declare wider deviations, or"
-        " --model-error where a restitution scatters from hit to hit; see docs/troubles.md"
-    )
+    for name, value, deviation in learned:
+        is_declared = bool(observer.law.uncertainty.clock_offset_error)
+        if name == "clock_offset" and abs(value) > _SURE * deviation and not is_declared:
+            side = "late" if value > 0 else "early"
+            yield f"stamps are {abs(value):.3g} s {side}, and no --clock-offset-error is declared"

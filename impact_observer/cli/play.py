@@ -2,7 +2,8 @@
 """Play a bag to running nodes, each message when it is due, until the end or Ctrl-C."""
 
 import argparse
-from pathlib import Path
+
+from impact_observer.cli.arguments import add_shared
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -10,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     # BAG comes first: behind --topics the bag would be taken for a topic.
     parser.usage = "%(prog)s BAG [--rate R] [--loop] [--topics TOPIC ...]"
     add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
+    add_shared(parser, "bag", "topics")
     add(
         "--rate",
         metavar="R",
@@ -19,7 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="speed relative to the recording (default: 1)",
     )
     add("--loop", action="store_true", help="start again at the end")
-    add("--topics", metavar="TOPIC", nargs="+", help="play these topics only (default: all)")
 
 
 def run(args: argparse.Namespace) -> int:

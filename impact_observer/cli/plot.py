@@ -7,20 +7,19 @@ No truth is needed. A band is two standard deviations wide on either side.
 import argparse
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_part, names
+from impact_observer.cli.arguments import PART, add_shared, names
 from impact_observer.plain_text import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
+    add_shared(parser, "bag", *PART)
     add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="a bag with estimates or truth")
     file = "the picture: a PNG, SVG or PDF"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=file)
     parser.set_defaults(outputs=("output",))
     select = "coordinates that are drawn (default: those that move most, at most eight)"
     add("--select", metavar="NAME,...", type=names, help=select)
-    add_part(parser)
 
 
 def run(args: argparse.Namespace) -> int:

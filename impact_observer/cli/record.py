@@ -3,20 +3,14 @@
 
 import argparse
 
-from impact_observer.cli.arguments import add_bag_output
+from impact_observer.cli.arguments import add_shared
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    add = parser.add_argument
-    add_bag_output(parser)
-    add(
-        "--topics",
-        metavar="TOPIC",
-        nargs="+",
-        help="record these topics only (default: every topic that appears)",
-    )
-    add("--duration", metavar="S", type=float, help="stop by itself after S seconds of wall time")
+    add_shared(parser, "output", "topics")
+    stop = "stop by itself after S seconds of wall time"
+    parser.add_argument("--duration", metavar="S", type=float, help=stop)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,13 +7,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import (
-    add_bag_output,
-    add_measurements,
-    add_option,
-    positive,
-    seed,
-)
+from impact_observer.cli.arguments import add_option, add_shared, positive, seed
 from impact_observer.errors import UsageError
 from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 
@@ -28,10 +22,9 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
-    add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
+    add_shared(parser, "rig", "seed", "output")
     add("--duration", metavar="S", type=positive, default=30.0, help="how long, s (default 30)")
     add("--rate", metavar="HZ", type=positive, default=100.0, help="true states, Hz (default 100)")
-    add("--seed", metavar="N", type=seed, default=0, help="of everything random (default 0)")
     add(
         "--random-parameters",
         metavar="SEED",
@@ -39,12 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw the plant's parameters from the deviations of the model; the bag has the model"
         " as declared, and the drawn values in its provenance",
     )
-    add_bag_output(parser)
     group = parser.add_argument_group("sensor", "its faults; none by default")
     for each in SENSOR_FAULTS:
         add_option(group, each)
     group = parser.add_argument_group("measurements", "what is measured beside the impacts")
-    add_measurements(group)
+    add_shared(group, "measurements")
     for each in SAMPLING:
         add_option(group, each)
 

@@ -7,24 +7,19 @@ owner /smoother: state, joint_states, verdicts, impacts.
 """
 
 import argparse
-from pathlib import Path
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
-    add_bag_output,
-    add_estimates,
-    add_measurements,
-    add_model,
+    PART,
     add_observer_arguments,
-    add_part,
+    add_shared,
     observer_options,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from impact_observer.batch.smoothed_run import SmoothedRun
-    from impact_observer.model import Model
+    from impact_observer.draw.reports import TextTable
 
 LAW = "minimum-variance"
 _OPTIONS = (
@@ -44,20 +39,17 @@ _OPTIONS = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="a bag with impacts")
-    add_model(parser)
+    add_shared(parser, "bag", "model")
     add_observer_arguments(parser, _OPTIONS)
-    add_measurements(parser)
-    add_part(parser)
-    add_estimates(parser)
-    add_bag_output(parser)
+    add_shared(parser, "measurements", *PART, "rate", "output")
 
 
 def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
     from impact_observer.batch.smooth_bag import smooth_bag
+    from impact_observer.cli.observe import MOST_REMARKS, fitted_to, in_words
     from impact_observer.cli.progress import Progress
+    from impact_observer.draw.reports import print_table
     from impact_observer.io.bag_part import read_impacts_part
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
@@ -81,31 +73,40 @@ def run(args: argparse.Namespace) -> int:
             progress=progress.step,
             tell=lambda line: progress.line(f"note: {line}"),
         )
-        verdicts = ", ".join(
-            f"{n} {ruling.name.lower().replace('_', ' ')}"
-            for ruling, n in smoothed.rulings.items()
-        )
+        verdicts = in_words(smoothed.rulings)
         progress.line(f"{args.output}: {smoothed.estimates} estimates, verdicts: {verdicts}")
-        for line in smoothed.problems:
-            progress.line(f"warning: {line}")
+        warnings = [*smoothed.problems]
         for each in smoothed.runs:
-            for line in _about_run(read, each):
-                progress.line(line)
+            for table in (each for each in (_parameters(each), _samples(each)) if each.rows):
+                print_table(table)
+            if each.misfit:
+                warnings.append(f"the model does not explain the impacts: {each.misfit}")
+            warnings += fitted_to(read, (key.stamp for key in each.run.keys))
+        for line in islice(dict.fromkeys(warnings), MOST_REMARKS):
+            progress.line(f"warning: {line}")
     return 0
 
 
-def _about_run(read: "Model", run: "SmoothedRun") -> "Iterator[str]":
-    """What was learned in a run of the sender, and what is in doubt."""
-    from impact_observer.cli.observe import fitted_lines
-    from impact_observer.draw.reports import figure
+def _parameters(run: "SmoothedRun") -> "TextTable":
+    """What was learned in a run of the sender."""
+    from impact_observer.draw.reports import TextTable, figure
     from impact_observer.model.free_parameters import with_unit
 
     unit = run.run.system.unit
-    yield from fitted_lines(read, (each.stamp for each in run.run.keys))
-    for name, value, deviation in run.parameters:
-        yield f"learned: {with_unit(name, unit)} {figure(value, deviation=deviation)}"
-    for index, sensor in enumerate(run.fit.problem.samples):
-        used = int((run.fit.samples.sensor == index).sum())
-        yield f"{sensor.measurement.name}: {used} of {len(sensor.t)} samples used"
-    if run.misfit:
-        yield f"warning: the model does not explain the impacts: {run.misfit}"
+    rows = [[with_unit(n, unit), figure(v, deviation=size)] for n, v, size in run.parameters]
+    return TextTable(("parameter", "learned"), rows)
+
+
+def _samples(run: "SmoothedRun") -> "TextTable":
+    """How many samples of each sensor were used."""
+    from impact_observer.draw.reports import TextTable
+
+    rows = [
+        [
+            sensor.measurement.name,
+            str(len(sensor.t)),
+            str(int((run.fit.samples.sensor == k).sum())),
+        ]
+        for k, sensor in enumerate(run.fit.problem.samples)
+    ]
+    return TextTable(("sensor", "samples", "used"), rows)

@@ -15,15 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
-    add_measurements,
     add_observer_arguments,
+    add_shared,
     count,
     installed_laws,
     metavar,
     observer_options,
     parsed,
     positive,
-    seed,
 )
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
@@ -52,14 +51,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     one_matrix_thread(always=True)  # before numpy is imported
     parser.usage = "%(prog)s MODEL -o FILE [--laws LAW,...] [--runs N] [--jitter S,...] [options]"
     add = parser.add_argument
-    add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
+    add_shared(parser, "rig", "seed", "plot", "json", "measurements", seed="of the first run (0)")
     add("-o", "--output", metavar="FILE", type=Path, required=True, help="a .parquet file to make")
     laws = "of the observers, or all that are installed (default geometric)"
     add("--laws", metavar="LAW,...", default="geometric", help=laws)
     add(
         "--runs", metavar="N", type=count, default=20, help="runs of each combination (default 20)"
     )
-    add("--seed", metavar="N", type=seed, default=0, help="of the first run (default 0)")
     duration = "how long, s (default 30)"
     add("--duration", metavar="S", type=positive, default=30.0, help=duration)
     rate = "samples, Hz (default 100)"
@@ -68,10 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--jobs", metavar="N", type=count, help="processes (default: all cores)")
     scheduler = "of a Dask cluster, such as tcp://10.0.0.1:8786"
     where.add_argument("--dask", metavar="ADDRESS", help=scheduler)
-    add("--plot", metavar="FILE", type=Path, help="settling times as PNG, SVG or PDF")
     parser.set_defaults(outputs=("output", "plot"))
-    add("--json", action="store_true", help="print the metrics as JSON")
-    add_measurements(parser)
     _add_swept_arguments(parser)
     group = parser.add_argument_group("observers", "the same for all of them")
     add_observer_arguments(group, _OF_OBSERVERS, initial_state="random, of each run")

@@ -10,7 +10,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_model, positive
+from impact_observer.cli.arguments import add_shared, positive
 
 if TYPE_CHECKING:
     from impact_observer.ros.watcher import View
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    add_model(parser, "for V (default: the model that the plant publishes)")
+    add_shared(parser, "model", model="for V (default: the model that the plant publishes)")
     parser.add_argument("--duration", metavar="S", type=positive, help="end after S seconds")
 
 

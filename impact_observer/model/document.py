@@ -65,14 +65,16 @@ def _explained(message: str, found: Value, kind: object, key: str) -> ModelError
     parts = _MESSAGE.fullmatch(message)
     problem, path = parts.groups(default="") if parts else (message, "")
     for name, index in _STEP.findall(path):
+        if not isinstance(found, list | Mapping):
+            break  # such as a set
         at = _alternative(kind, found)
         if isinstance(found, list):
             kind, key, found = get_args(at)[0], f"{key}[{index}]", found[int(index)]
-        elif isinstance(found, Mapping):
-            kind = hints_of(at, include_extras=True)[name] if name else get_args(at)[-1]
-            # msgspec does not name the member of a mapping
-            member = name or next(k for k, value in found.items() if not _fits(value, kind))
-            key, found = f"{key}.{member}", found[member]
+            continue
+        kind = hints_of(at, include_extras=True)[name] if name else get_args(at)[-1]
+        # msgspec does not name the member of a mapping
+        member = name or next(k for k, value in found.items() if not _fits(value, kind))
+        key, found = f"{key}.{member}", found[member]
     key = key.removeprefix(".")
     if "`key`" in message and isinstance(found, Mapping):
         names = [str(name) for name in found if not isinstance(name, str)]

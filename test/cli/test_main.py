@@ -10,7 +10,7 @@ import pytest
 from systems import jammed
 
 from impact_observer import __version__
-from impact_observer.cli.main import COMMANDS, GONE, GONE_OPTIONS, main
+from impact_observer.cli.main import COMMANDS, main
 from impact_observer.io import BagReader
 from impact_observer.io.recordings import model_of
 
@@ -106,32 +106,14 @@ def test_a_wrong_argument_is_one_line_and_exit_code_2(
     assert "--help" in errors
 
 
-@pytest.mark.parametrize("command", GONE)
-def test_a_command_that_went_is_named_with_its_replacement(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Beside the parser's own error; no such command is left."""
+@pytest.mark.parametrize("words", ["info bag", "detect bag --kind switch -o y"])
+def test_what_went_is_named_in_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A command or an option; exit code 2."""
     with pytest.raises(SystemExit) as end:
-        main([command, "bag"])
-    assert end.value.code == 2
-    replaced, error = capsys.readouterr().err.strip().splitlines()
-    assert f"{command} went" in replaced
-    assert GONE[command] in replaced
-    assert "invalid choice" in error
-    assert command not in COMMANDS
-
-
-@pytest.mark.parametrize("gone", GONE_OPTIONS)
-def test_an_option_that_went_is_named_with_its_replacement(
-    gone: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One line, exit code 2."""
-    *given, option = gone.split()
-    with pytest.raises(SystemExit) as end:
-        main([*(given or ["check"]), "x", "x", "-o", "y", f"{option}=1"])
+        main(words.split())
     assert end.value.code == 2
     (error,) = capsys.readouterr().err.splitlines()
-    assert f"{option} went in 0.4.0; use {GONE_OPTIONS[gone]}" in error
+    assert ("info" if words.startswith("info") else "--kind") in error
 
 
 @pytest.mark.parametrize(

@@ -330,16 +330,17 @@ def test_a_sensor_that_died_before_the_end_is_one_warning(
     assert (line in printed) is (reported == 8)
 
 
-def test_observe_says_how_many_of_the_predicted_impacts_came(
+def test_observe_says_how_many_impacts_were_reported_and_what_deviations_come_from(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of a sensor that misses some; the verdicts in the bag have as many."""
+    """Of a sensor that misses some."""
     bag, out = shared("bags") / "missed", tmp_path / "out"
     assert main(["observe", str(bag), "--law", "minimum-variance", "-o", str(out)]) == 0
     output = capsys.readouterr().out
-    assert "19 applied, 2 inserted; 90% of 21 predicted impacts" in output
-    assert "deviation of dx2/dt: " in output
-    assert " from " in output
+    assert "19 applied, 2 inserted" in output
+    (row,) = [line for line in output.splitlines() if line.startswith("dx2/dt ")]
+    assert "m/s" in row
+    assert "%" in row
 
 
 @pytest.mark.slow

@@ -79,8 +79,8 @@ def test_a_learned_value_that_contradicts_the_declared_one_is_named(
     bag = str(shared("bags/jitter"))
     assert main([*command.split(), bag, *given, "-o", str(tmp_path / "estimated")]) == 0
     lines = capsys.readouterr().out.splitlines()
-    (warning,) = [line for line in lines if "contradict the declared ones: rest" in line]
-    assert re.search(r"restitution\.stop 0\.[67]\d+ \+- \S+, declared 0\.600? \+- 0\.02 ", warning)
+    (warning,) = [line for line in lines if "contradict" in line]
+    assert re.search(r"restitution\.stop 0\.[67]\d+ \+- \S+ .* 0\.600? \+- 0\.02", warning)
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_hits_of_a_drill_are_smoothed_with_a_restitution_that_is_learned(
     assert main(["smooth", "hits", *given.split()]) == 0
     said = capsys.readouterr().out
     assert "out: 300 estimates" in said
-    assert "learned: restitution.anvil 0.6" in said or "restitution.anvil 0.59" in said
+    assert re.search(r"restitution\.anvil +0\.(6|59)", said)
 
 
 @pytest.mark.slow
@@ -187,7 +187,7 @@ def test_a_ball_with_uncertain_damping_that_comes_to_rest_is_smoothed(
     start = "--clock-error 0.001 --initial-deviation 0.01 --initial-state 0.1,0"
     assert main(f"smooth {bag} {given} {start} -o {tmp_path / 'smoothed'}".split()) == 0
     said = capsys.readouterr().out
-    *_, found = re.findall(r"damping\.ground-z \[Ns/m\] (\S+) \+- (\S+)", said)
+    *_, found = re.findall(r"damping\.ground-z \[Ns/m\] +(\S+) \+- (\S+)", said)
     value, deviation = map(float, found)
     assert abs(value - 0.5) < 3 * deviation
 
@@ -241,7 +241,7 @@ def test_a_phase_of_a_ground_is_learned_from_a_recording(
     model.write_text(text.replace("62.83185307179586", wrong))
     given = [str(shared("bags/ball_on_table")), "--model", str(model), "--clock-error", "1e-5"]
     assert main(["smooth", *given, "--rate", "9", "-o", str(tmp_path / "out")]) == 0
-    assert "learned: ground-phase.table.1" in capsys.readouterr().out
+    assert "ground-phase.table.1 [rad]  -0.03" in capsys.readouterr().out
     free = "--free ground-phase.table.1"
     given[-1] = "1e-8"  # the stamps are exact, and outweigh the prior
     assert main(["identify", *given, *free.split(), "--json"]) == 0

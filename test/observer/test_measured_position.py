@@ -263,7 +263,7 @@ def test_observe_and_compare_the_sample_by_command(
 @pytest.mark.parametrize(
     ("law", "without", "said"),
     [
-        ("minimum-variance", ("torque_dev",), "note: the model has no torque_deviation: that of"),
+        ("minimum-variance", ("torque_dev",), "warning: the model has no torque_deviation"),
         ("minimum-variance", ("torque_dev", "forces"), "warning: the model has no forces, so its"),
         ("measured-position", ("torque_dev",), ""),
     ],
