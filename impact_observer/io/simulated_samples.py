@@ -3,25 +3,21 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 
+from impact_observer.dynamics import mechanism_of
 from impact_observer.events import Contacts
-from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.readings import Place, sensors_of
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.io.typestores import typestore
 from impact_observer.message_fields import FieldPath
-from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.multibody import Multibody
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Run
-from impact_observer.robots.robot import Robot
-from impact_observer.robots.robot_readings import robot_readings
 from impact_observer.sensor_faults import SAMPLING
 from impact_observer.stamps import NS_PER_S, from_seconds
 from impact_observer.states import Stamps, Vector
@@ -38,6 +34,8 @@ _TYPES = {
     "pose": "geometry_msgs/msg/PoseStamped",
 }
 """The message type that has a field, by the first part of its path."""
+_HALF_STEP = 1000
+"""Half the distance of the instants by which speeds of the frame are differentiated, ns."""
 _STREAM = 1923
 """Stream of random numbers, other than that of the sensor of impacts."""
 
@@ -99,44 +97,51 @@ def type_of(measurement: Measurement) -> str:
     return type_name
 
 
-class LinearSensors:
-    """What the sensors of a linear system measure without noise."""
+class TrueValues:
+    """What sensors of a system measure without noise, and the efforts of its joints."""
 
-    def __init__(self, measurements: Sequence[Measurement], system: System) -> None:
-        """Resolve the names of the ``measurements``."""
-        self._system, self._sensors = system, sensors_of(measurements, system)
-        self._moving = MovingSystem(system)
+    def __init__(self, measurements: Sequence[Measurement], system: Multibody) -> None:
+        """Resolve the names of the ``measurements``.
 
-    def values(self, instant: int, x: Vector, closed: Contacts) -> Iterator[float]:
-        """Values of all sensors in a state (q, u), shape (2n,), ``instant`` ns since the epoch."""
-        framed = self._system.to_frame(np.array([instant]), x[None])[0]
-        place = Place(instant / NS_PER_S, instant, framed, closed)
-        for sensor in self._sensors:
-            yield sensor.row(self._moving, place).value(framed)
-
-    def efforts(self, instant: int) -> dict[str, float]:
-        """Efforts by joint: none are known."""
-        del instant
-        return {}
-
-
-class RobotSensors:
-    """What the sensors of a robot measure without noise, and the efforts of its drives."""
-
-    def __init__(self, measurements: Sequence[Measurement], robot: Robot) -> None:
-        """Resolve the names of the ``measurements``."""
-        self._robot, self._readings = robot, robot_readings(measurements, robot)
+        Raises:
+            UsageError: the system does not have them, by file and key.
+        """
+        for each in measurements:
+            each.check(system)
+        self._measurements, self._system = measurements, system
+        self._mechanism = mechanism_of(system)
+        self._index = {name: i for i, name in enumerate(system.coordinates)}
 
     def values(self, instant: int, x: Vector, closed: Contacts) -> Iterator[float]:
         """Values of all sensors in a state (q, u), shape (2n,), ``instant`` ns since the epoch."""
-        tau = self._robot.torques(instant / NS_PER_S)
-        for reading in self._readings:
-            yield reading.value(x, tau, closed)
+        n, system = self._system.n, self._system
+        framed = system.to_frame(np.array([instant]), x[None])
+        for each in self._measurements:
+            value = each.offset
+            if each.gap:
+                contact = system.contact_names.index(each.gap)
+                value += float(self._mechanism.gaps(framed).g[0, contact])
+            motions = [(each.position, x[:n]), (each.velocity, x[n:])]
+            if each.acceleration:
+                rates = self._mechanism.rates([instant / NS_PER_S], framed, closed)[0, n:]
+                motions.append((each.acceleration, rates + self._pull(instant)))
+            for coefficients, motion in motions:
+                value += sum(factor * motion[self._index[name]] for name, factor in coefficients)
+            yield float(value)
 
     def efforts(self, instant: int) -> dict[str, float]:
-        """Torques and forces of the drives by joint, N m or N."""
-        tau = self._robot.torques(instant / NS_PER_S).tolist()
-        return dict(zip(self._robot.coordinates, tau, strict=True))
+        """Torques and forces of the drives of joints with encoders, N m or N, by joint."""
+        if not self._system.has_encoders:
+            return {}
+        tau = self._system.forcing(instant / NS_PER_S).tolist()
+        return dict(zip(self._system.coordinates, tau, strict=True))
+
+    def _pull(self, instant: int) -> Vector:
+        """Acceleration of the frame in which no stop moves, shape (n,)."""
+        around = np.array([instant - _HALF_STEP, instant + _HALF_STEP])
+        before, after = self._system.from_frame(around, np.zeros((2, 2 * self._system.n)))
+        pull: Vector = (after - before)[self._system.n :] / (2e-9 * _HALF_STEP)
+        return pull
 
 
 class SampleSimulation:
@@ -161,11 +166,7 @@ class SampleSimulation:
             UsageError: by file and key, where one cannot be simulated.
         """
         self.sampling = sampling
-        self._measured: LinearSensors | RobotSensors = (
-            RobotSensors(measurements, system)
-            if isinstance(system, Robot)
-            else LinearSensors(measurements, cast(System, system))
-        )
+        self._measured = TrueValues(measurements, system)
         self._declared = tuple(measurements)
         self._new = new or blank
         self._random = np.random.default_rng([seed, _STREAM])
@@ -190,7 +191,7 @@ class SampleSimulation:
     ) -> Iterator[SimulatedMessage]:
         """Messages of all sensors for the state (q, u), shape (2n,), at ``stamp`` (ns).
 
-        Joints of a robot share the messages of a topic, which have the efforts, too.
+        Joints with efforts share the messages of a topic, which have the efforts, too.
         """
         efforts = self._measured.efforts(stamp - epoch)
         shared: dict[tuple[str, str, int], AnyMessage] = {}

@@ -67,15 +67,6 @@ class RobotReading:
         return np.asarray(found)
 
 
-def robot_readings(measurements: Sequence[Measurement], robot: Robot) -> list[RobotReading]:
-    """The sensors of a robot.
-
-    Raises:
-        UsageError: by file and key, where the robot does not have a joint or a contact.
-    """
-    return [RobotReading(each, robot, i) for i, each in enumerate(measurements)]
-
-
 def _coefficients(given: Coefficients, joints: Sequence[str]) -> Vector:
     """Coefficients in the order of ``joints``, shape (n,)."""
     found = np.zeros(len(joints))
