@@ -8,7 +8,7 @@ the room that ``_MADE_BY`` names for it.
 import math
 from importlib import import_module
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -129,6 +129,11 @@ class Multibody(Protocol):
         Raises:
             UsageError: as ``checked_state``, or a stop is penetrated.
         """
+
+
+def is_multibody(source: object) -> TypeGuard[Multibody]:
+    """Whether a ``source`` of a model is a system itself, and no model or path."""
+    return hasattr(source, "checked_start")
 
 
 def errors_of(system: Multibody, truth: Matrix, estimate: Matrix) -> Matrix:

@@ -79,21 +79,21 @@ def make_observer(
 
 
 def encoder_start(
-    options: Options, system: System | Robot | None, measurements: Sequence[Measurement]
+    options: Options, system: System | Robot, measurements: Sequence[Measurement]
 ) -> EncoderStart | None:
     """Where a robot starts whose ``options`` name no initial state; None of other systems.
 
     Raises:
         UsageError: a joint of the robot has no encoder among the ``measurements``.
     """
-    if not isinstance(system, Robot) or options.initial_state != Options.initial_state:
+    if not system.has_encoders or options.initial_state != Options.initial_state:
         return None
-    return EncoderStart(system, measurements)
+    return EncoderStart(cast(Robot, system), measurements)
 
 
 def _model_error(options: Options, system: System | Robot) -> float | None:
     """White accelerations, m/s^1.5; None if they are learned: a robot has white torques."""
-    if not isinstance(system, Robot):
+    if not system.has_encoders:
         return None if options.model_error < 0 else options.model_error
     if options.model_error > 0:
         raise UsageError(

@@ -27,6 +27,7 @@ from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.model.multibody import is_multibody
 from impact_observer.observer.deviation_sources import DeviationSources
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
@@ -131,8 +132,8 @@ class Observer:
             UsageError: no system or law, a wrong state, or a number that is not positive.
             ModelError: the model file is wrong.
         """
-        if not isinstance(system, Robot):
-            system = model_of(system, "Observer").system
+        if not is_multibody(system):
+            system = model_of(cast(ModelSource, system), "Observer").system
         if not isinstance(law, Law):
             raise UsageError(f"Observer: {law!r} found; expected law_named(NAME)(system)")
         for name, value in (("history", history), ("ensemble", ensemble)):
@@ -142,7 +143,7 @@ class Observer:
         if live is None:
             refused(cast(System, system), "an observer without signals")
         self.live = live
-        self.robot = system if isinstance(system, Robot) else None
+        self.robot = cast(Robot, system) if system.has_encoders else None
         self.encoders = encoders
         self.samples = SampleStream(sensors_of(measurements, system))
         self._revised: list[Verdict] = []

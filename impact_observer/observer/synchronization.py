@@ -104,7 +104,7 @@ class SynchronizationTest:
     def __init__(self, system: System | Robot) -> None:
         """Take the metric of ``V`` from ``system``; of a robot, where its coordinates are zero."""
         self._n = system.n
-        self._is_robot = isinstance(system, Robot)  # its gaps are measured
+        self._has_encoders = system.has_encoders  # gaps are measured
         scales, self._system = scales_of(system), at_zero(system)
         self._metric = linalg.block_diag(self._system.K, self._system.M)
         seen = system.parts()[np.argmax(self._system.W != 0, axis=0)]
@@ -148,7 +148,7 @@ class SynchronizationTest:
                 # At rest on several stops a filter that has lost the track explains any event.
                 is_impact = is_impact and bool(change.closed or not is_at_rest)
                 is_impact = is_impact and not self._is_bounce(previous, change)
-            elif is_impact and not self._is_robot:
+            elif is_impact and not self._has_encoders:
                 expected = self._least_distance(previous, change, x[: self._n])
             if expected <= limit or is_rejected:
                 agreed = self._agreed(previous.agreed, change, contradicted, counts=is_impact)

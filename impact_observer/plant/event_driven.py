@@ -28,7 +28,7 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.model_source import ModelSource, model_of
-from impact_observer.model.multibody import Multibody, multibody_of
+from impact_observer.model.multibody import Multibody, is_multibody, multibody_of
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.plant.zeno import (
     COLLAPSED,
@@ -270,5 +270,6 @@ class Plant:
 
 def _system_of(source: Multibody | ModelSource) -> Multibody:
     """The system that a plant is given, or that of a model."""
-    given = getattr(source, "checked_start", None)
-    return source if given is not None else multibody_of(model_of(source, "Plant"))  # type: ignore[arg-type,return-value]
+    if is_multibody(source):
+        return source
+    return multibody_of(model_of(cast(ModelSource, source), "Plant"))
