@@ -23,6 +23,8 @@ _NUMBERS = 1 << 19
 """Numbers in the matrices of all steps of a window."""
 STEP = 2 * np.pi / 16
 """Angle of the fastest rate in a step, rad."""
+_FEW = 32
+"""Most polynomials whose values at one place are computed one after the other."""
 _KEPT = 64
 """Times whose matrices are remembered."""
 _STILL = 1.0
@@ -105,6 +107,14 @@ def _short(number: float) -> float:
     return math.ldexp(math.floor(mantissa * 2**20), exponent - 20)
 
 
+def horner(c: list[float], x: float) -> float:
+    """The value of the polynomial with coefficients ``c``, from the constant on, at ``x``."""
+    total = 0.0
+    for each in reversed(c):
+        total = total * x + each
+    return total
+
+
 def polynomials(
     c: NDArray[np.float64], x: Vector, which: NDArray[np.intp] | None = None
 ) -> NDArray[np.float64]:
@@ -117,6 +127,9 @@ def polynomials(
         x: shape (samples,).
         which: the polynomial of each sample, shape (samples,); None where each has its own.
     """
+    if x.size == 1 and c.shape[1] <= _FEW:  # the same operations, and far fewer calls
+        rows = c[..., 0 if which is None else which[0]].T.tolist()
+        return np.array([[horner(row, float(x[0]))] for row in rows])
     value = np.zeros((c.shape[1], x.size))
     for each in c[::-1]:
         value *= x

@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.exponential import TERMS, Exponential, polynomials
+from impact_observer.dynamics.exponential import TERMS, Exponential, horner, polynomials
 from impact_observer.states import Matrix, Vector
 
 _GRAZE = 1e-14
@@ -177,7 +177,7 @@ def first_below(c: list[float], depth: float, low: float = 0.0) -> float | None:
     c = c[:last]
     slope = [k * each for k, each in enumerate(c)][1:]
     bend = sum(abs(k * each) for k, each in enumerate(slope))
-    at_low, at_high = _value(c, low), _value(c, 1.0)
+    at_low, at_high = horner(c, low), horner(c, 1.0)
     if at_low < -depth:
         return low
     waiting = [(low, max(at_low, 0.0), 1.0, at_high)]
@@ -187,13 +187,13 @@ def first_below(c: list[float], depth: float, low: float = 0.0) -> float | None:
         if min(at_a, at_b) - bend * width * width / 8 >= -depth:
             continue
         if at_b < -depth and (
-            width < _NARROW or abs(_value(slope, a + width / 2)) > bend * width / 2
+            width < _NARROW or abs(horner(slope, a + width / 2)) > bend * width / 2
         ):
             return _bracketed(c, slope, a, b)
         if width < _NARROW:
             continue
         middle = a + width / 2
-        at_middle = _value(c, middle)
+        at_middle = horner(c, middle)
         if at_middle >= -depth:  # else the first root lies before
             waiting.append((middle, max(at_middle, 0.0), b, at_b))
         waiting.append((a, at_a, middle, at_middle))
@@ -215,12 +215,12 @@ def _bracketed(c: list[float], slope: list[float], low: float, high: float) -> f
     """The root in [``low``, ``high``], ``c`` being negative at ``high``: Newton's method."""
     x = high
     while high - low > _EQUAL * high:
-        value = _value(c, x)
+        value = horner(c, x)
         if value < 0:
             high = x
         else:
             low = x
-        rate = _value(slope, x)
+        rate = horner(slope, x)
         after = x - value / rate if rate else low
         if not low < after < high:
             if abs(after - x) <= _EQUAL * x:
@@ -232,10 +232,3 @@ def _bracketed(c: list[float], slope: list[float], low: float, high: float) -> f
             return after
         x = after
     return high
-
-
-def _value(c: list[float], x: float) -> float:
-    total = 0.0
-    for each in reversed(c):
-        total = total * x + each
-    return total
