@@ -76,7 +76,7 @@ def test_the_tutorial_runs_block_by_block(capsys: pytest.CaptureFixture[str]) ->
         TUTORIAL,
         re.MULTILINE,
     )
-    assert len(quoted) == 6
+    assert len(quoted) == 7
     for line in quoted:
         numbers = re.compile(r"(\d\.\d{1,6})\d*")  # the last digits are the processor's
         short = numbers.sub(r"\1", " ".join(line.split()))

@@ -2,18 +2,22 @@
 """The topics and the storage files of a bag."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from shlex import quote
+from sqlite3 import Error as SqliteError
+from sqlite3 import connect
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 
 from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.io import interfaces
-from impact_observer.io.foreign_files import foreign_file
 from impact_observer.io.interfaces import Quality
 
 _STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
+_SUFFIXES = {".bag", ".mcap", ".db3", ".yaml", ".zstd"}
 _FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
 SOUND_FILES = (".wav", ".flac", ".ogg")
 """Suffixes of sounds."""
@@ -45,12 +49,10 @@ def storage_of(path: Path) -> str:
 
     Raises:
         UsageError: there is nothing.
-        BagError: there is no bag, or one of ROS 1, or a pointer of Git LFS.
+        BagError: there is no bag.
     """
     if not path.exists():
         raise UsageError(f"{path}: does not exist; expected a bag: {_FORMS}")
-    if (foreign := foreign_file(path)) is not None:
-        raise UnfitBagError(f"{path}: {foreign}")
     if path.is_dir():
         inside = sorted(file for file in path.iterdir() if file.suffix in _STORAGES)
         if (path / "metadata.yaml").is_file():
@@ -71,6 +73,23 @@ def storage_of(path: Path) -> str:
         )
         raise UnfitBagError(f"{path}: not a bag; expected {_FORMS}; {remedy}")
     return _STORAGES[path.suffix]
+
+
+def bag_files(path: Path) -> list[Path]:
+    """What may be a file of a bag by its name: in the folder of a bag, or the one file."""
+    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    return [each for each in inside if each.suffix in _SUFFIXES]
+
+
+def views_in(file: Path) -> list[str]:
+    """Names of the views in a database; none in a damaged one."""
+    try:
+        with closing(connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
+            database.text_factory = partial(str, encoding="utf-8", errors="replace")
+            found = database.execute("SELECT name FROM sqlite_master WHERE type='view'")
+            return [str(name) for (name,) in found]
+    except (SqliteError, UnicodeDecodeError):  # also of its own error, with a damaged name
+        return []
 
 
 def topic_info(topic: str, connections: Sequence[Connection]) -> TopicInfo:

@@ -34,13 +34,13 @@ from impact_observer.io.typestores import typestore
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 from impact_observer.states import Estimate, Vector, frozen
 
-_IMPACT_NUMBERS = ImpactEstimate._fields[4:]
-"""Fields that an estimate of an impact shares with its message: speeds and so on, deviations."""
 _MAX_UINT32 = 2**32 - 1
 _MAX_UINT64 = 2**64 - 1
 AnyMessage: TypeAlias = Any
 """A message, or a message class, of ``rosbags`` or of ``rclpy``: they have no common base."""
 _Kinds = TypeVar("_Kinds", bound=IntEnum)
+_Mirrored = TypeVar("_Mirrored", Verdict, SmoothedImpact, ImpactEstimate, MeasurementVerdict)
+"""Values with the fields of their messages."""
 
 
 class MessageError(ImpactObserverError, ValueError):
@@ -151,53 +151,40 @@ class Messages:
 
         ``latency`` is the time from stamp to application, s.
         """
-        _check_counter("EventVerdict.sequence", verdict.sequence, _MAX_UINT64)
-        return self._classes(interfaces.EVENT_VERDICT)(
-            header=self._header("EventVerdict", verdict.stamp),
-            verdict=int(verdict.ruling),
-            sequence=verdict.sequence,
-            contact=verdict.contact,
-            reason=verdict.reason,
-            innovation=_number("EventVerdict.innovation", verdict.innovation),
-            latency=_number("EventVerdict.latency", latency),
-        )
+        latency = _number("EventVerdict.latency", latency)
+        return self._mirror(interfaces.EVENT_VERDICT, verdict, "revises", latency=latency)
 
     def smoothed_impact(self, impact: SmoothedImpact) -> AnyMessage:
         """``impact`` as ``impact_observer_msgs/SmoothedImpact``."""
-        _check_counter("SmoothedImpact.sequence", impact.sequence, _MAX_UINT64)
-        _check_stamp("SmoothedImpact.reported", impact.reported, earliest=0)
-        return self._classes(interfaces.SMOOTHED_IMPACT)(
-            header=self._header("SmoothedImpact", impact.stamp),
-            reported=self.time(impact.reported),
-            sequence=impact.sequence,
-            contact=impact.contact,
-            verdict=int(impact.ruling),
-            deviation=_number("SmoothedImpact.deviation", impact.deviation),
-        )
+        reported = self.time(impact.reported)
+        return self._mirror(interfaces.SMOOTHED_IMPACT, impact, "reported", reported=reported)
 
     def impact_estimate(self, impact: ImpactEstimate) -> AnyMessage:
         """``impact`` as ``impact_observer_msgs/ImpactEstimate``."""
-        _check_counter("ImpactEstimate.sequence", impact.sequence, _MAX_UINT64)
-        numbers = {name: getattr(impact, name) for name in _IMPACT_NUMBERS}
-        return self._classes(interfaces.IMPACT_ESTIMATE)(
-            header=self._header("ImpactEstimate", impact.stamp),
-            contact=impact.contact,
-            verdict=int(impact.ruling),
-            sequence=impact.sequence,
-            **{name: _number(f"ImpactEstimate.{name}", each) for name, each in numbers.items()},
-        )
+        return self._mirror(interfaces.IMPACT_ESTIMATE, impact)
 
     def measurement_verdict(self, verdict: MeasurementVerdict) -> AnyMessage:
         """``verdict`` as ``impact_observer_msgs/MeasurementVerdict``."""
-        return self._classes(interfaces.MEASUREMENT_VERDICT)(
-            header=self._header("MeasurementVerdict", verdict.stamp),
-            name=verdict.name,
-            value=_number("MeasurementVerdict.value", verdict.value),
-            innovation=_number("MeasurementVerdict.innovation", verdict.innovation),
-            normalized=_number("MeasurementVerdict.normalized", verdict.normalized),
-            accepted=verdict.accepted,
-            reason=verdict.reason,
-        )
+        return self._mirror(interfaces.MEASUREMENT_VERDICT, verdict)
+
+    def _mirror(
+        self, type_name: str, value: _Mirrored, without: str = "", **others: object
+    ) -> AnyMessage:
+        """A ``value`` as the message with the same fields.
+
+        Args:
+            type_name: of the message.
+            value: its field ``stamp`` is the header's, its ``ruling`` is called ``verdict``.
+            without: a field that the message does not have, or not so.
+            others: fields of the message that the value does not have, or not so.
+        """
+        name, own = type_name.rpartition("/")[2], value._asdict()
+        own.pop(without, None)
+        header, ruling = self._header(name, own.pop("stamp")), own.pop("ruling", None)
+        fields = {key: _checked(f"{name}.{key}", each) for key, each in own.items()}
+        if ruling is not None:
+            fields["verdict"] = int(ruling)
+        return self._classes(type_name)(header=header, **fields, **others)
 
     def estimate(self, estimate: Estimate, names: Sequence[str]) -> AnyMessage:
         """``estimate`` as ``impact_observer_msgs/ObserverState``; ``names`` of coordinates."""
@@ -374,18 +361,11 @@ def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
     """The verdict in a message, and the latency, s.
 
     Raises:
-        MessageError: its stamp is not after 0, or the ruling is unknown.
+        MessageError: its stamp is not after 0, the ruling is unknown, or a number is not finite.
     """
-    verdict = Verdict(
-        stamp=read_stamp("EventVerdict.header.stamp", message.header.stamp),
-        ruling=_member(Ruling, "EventVerdict.verdict", message.verdict),
-        sequence=int(message.sequence),
-        contact=message.contact,
-        reason=message.reason,
-        innovation=float(message.innovation),
-        revises=message.reason.startswith(REVISED),
-    )
-    return verdict, float(message.latency)
+    verdict = _read_mirrored(Verdict, interfaces.EVENT_VERDICT, message)
+    revises = verdict.reason.startswith(REVISED)
+    return verdict._replace(revises=revises), float(message.latency)
 
 
 def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
@@ -394,30 +374,29 @@ def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
     Raises:
         MessageError: its stamp is not after 0, the ruling is unknown, or a number is not finite.
     """
-    return ImpactEstimate(
-        read_stamp("ImpactEstimate.header.stamp", message.header.stamp),
-        message.contact,
-        _member(Ruling, "ImpactEstimate.verdict", message.verdict),
-        int(message.sequence),
-        *(_number(f"ImpactEstimate.{name}", getattr(message, name)) for name in _IMPACT_NUMBERS),
-    )
+    return _read_mirrored(ImpactEstimate, interfaces.IMPACT_ESTIMATE, message)
 
 
 def read_measurement_verdict(message: AnyMessage) -> MeasurementVerdict:
     """The verdict on a sample in a message.
 
     Raises:
-        MessageError: its stamp is not after 0.
+        MessageError: its stamp is not after 0, or a number is not finite.
     """
-    return MeasurementVerdict(
-        stamp=read_stamp("MeasurementVerdict.header.stamp", message.header.stamp),
-        name=message.name,
-        value=float(message.value),
-        innovation=float(message.innovation),
-        normalized=float(message.normalized),
-        accepted=bool(message.accepted),
-        reason=message.reason,
-    )
+    return _read_mirrored(MeasurementVerdict, interfaces.MEASUREMENT_VERDICT, message)
+
+
+def _read_mirrored(kind: type[_Mirrored], type_name: str, message: AnyMessage) -> _Mirrored:
+    """The value in a message that ``Messages`` has made of it."""
+    name, fields = type_name.rpartition("/")[2], dict[str, Any]()
+    for key in kind._fields:
+        if key == "stamp":
+            fields[key] = read_stamp(f"{name}.header.stamp", message.header.stamp)
+        elif key == "ruling":
+            fields[key] = _member(Ruling, f"{name}.verdict", message.verdict)
+        elif hasattr(message, key):
+            fields[key] = _checked(f"{name}.{key}", getattr(message, key))
+    return kind(**fields)
 
 
 def read_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
@@ -482,6 +461,15 @@ def _check_counter(field: str, value: int, highest: int) -> None:
     """Check that ``value`` fits an unsigned field."""
     if not 0 <= value <= highest:
         raise MessageError(f"{field} is {value}; expected 0 to {highest}")
+
+
+def _checked(field: str, value: object) -> object:
+    """The value of a field: a text, a truth, a counter or a finite number."""
+    if isinstance(value, float):
+        return _number(field, value)
+    if isinstance(value, int) and not isinstance(value, bool):
+        _check_counter(field, value, _MAX_UINT64)
+    return value
 
 
 def _number(field: str, value: float) -> float:

@@ -34,17 +34,12 @@ from impact_observer.input_files import check_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import (
     TopicInfo,
+    bag_files,
     recover_command,
     reindex_command,
     storage_of,
     topic_info,
-)
-from impact_observer.io.foreign_files import (
-    ROS_2,
-    bag_files,
-    encodings_at,
-    first_view,
-    foreign_messages,
+    views_in,
 )
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.messages import (
@@ -164,8 +159,8 @@ class BagReader:
         """
         for file in bag_files(self.path):
             check_input(file)
-            if file.suffix == ".db3" and (view := first_view(file)):
-                found = f"{file.name} has a view {view}; expected tables alone"
+            if file.suffix == ".db3" and (views := views_in(file)):  # which may have no end
+                found = f"{file.name} has a view {views[0]}; expected tables alone"
                 raise BagError(f"{self.path}: cannot be read as a bag: {found}")
         if (metadata := self.path / "metadata.yaml").is_file():
             text = read_text(metadata)
@@ -549,19 +544,9 @@ class BagReader:
         except ImpactObserverError:
             raise
         except Exception as error:  # anything, in a damaged file
-            if (foreign := foreign_messages(self.path)) is not None:
-                raise UnfitBagError(f"{self.path}: {foreign}") from None
             reason = _reason(error)
-            others = [each for each in encodings_at(self.path) if each != ROS_2]
-            remedy = self._recover
-            if others:
-                reason = f"has {' and '.join(others)} messages beside those of ROS 2 ({ROS_2})"
-                remedy = "record those of ROS 2 alone"
-            elif "Serialization format" in reason:  # of metadata.yaml alone
-                reason = f"its metadata.yaml has other messages than its files, which have {ROS_2}"
-                remedy = self._reindex
-            elif "files are missing" in reason:  # that metadata.yaml names
-                remedy = f"move them back, or {self._reindex}"
+            is_apart = "files are missing" in reason
+            remedy = f"move them back, or {self._reindex}" if is_apart else self._recover
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
 
 
