@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.motion_fit import BatchProblem, linearised_fit
 from impact_observer.batch.passes import NoiseSizes
 from impact_observer.batch.recorded_run import RecordedRun
@@ -21,6 +22,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.square_root import sparse_basis
 from impact_observer.model import System
+from impact_observer.model.contact_sensors import NO_SENSORS
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.system import unit_of
@@ -114,6 +116,7 @@ def determined(
         mean=np.zeros(2 * system.n),
         start=np.diag(deviation),
         theta=np.zeros((0, 0)),
+        errors=ContactErrors.of(NO_SENSORS, system.contact_names, 0.0),
         samples=flight_samples(system, measurements, samples, run.epoch, within),
     )
     rows, moment, after = _mapped_back(problem)

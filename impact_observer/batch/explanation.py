@@ -29,6 +29,10 @@ _REVISIONS = 6
 """Most revisions of an account."""
 _WORTH = 5.0
 """Logarithm of the odds by which each further change of an account must be worth more."""
+_UNLABELLED = 0.1
+"""Probability of wrong contacts above which those of the events are no account."""
+_LEAST = 1e-6
+"""Least probability of a missed or a spurious impact."""
 _PHASES = 8
 """Phases of an unknown drive with which searches begin."""
 _UNKNOWN_PHASE = 1.0
@@ -56,11 +60,17 @@ class Explanation:
         """Whether no motion was found by which single events can be judged."""
         return self.verdict.model > LOST
 
+    @property
+    def missed(self) -> int:
+        """Number of inserted impacts of contacts that have a sensor."""
+        problem = self.fit.problem
+        return int(np.sum(problem.errors.has_sensor[problem.moments.inserted]))
+
     def is_better_than(self, other: "Explanation") -> bool:
         """Whether the account is likelier than ``other``: by more if it changes more events."""
         if self.verdict.fits != other.verdict.fits:
             return self.verdict.fits
-        more = self.fit.problem.moments.changed - other.fit.problem.moments.changed
+        more = self.missed - other.missed
         return self.evidence > other.evidence + _WORTH * max(more, 0)
 
 
@@ -89,7 +99,8 @@ def explanation(
     reported, tried = problem.moments, list[tuple[Moment, ...]]()
     best: Explanation | None = None
     prior = np.linalg.norm(problem.theta, axis=1)
-    for share in (None, *(() if trusts_events else _SHARES)):
+    shares = () if trusts_events else _SHARES
+    for share in shares if shares and options.mislabelled > _UNLABELLED else (None, *shares):
         theta, moments = None, reported
         if share is not None:
             theta = best.fit.values if best and share != _SHARES[0] else None
@@ -177,9 +188,9 @@ def _density(fit: MotionFit) -> tuple[bool, float]:
 def _explained(fit: MotionFit, reported: Moments, options: Options) -> Explanation:
     """Return the motion with its evidence and verdict."""
     moments = fit.problem.moments
-    inserted = sum(not each.is_measured for each in moments.each)
     rejected = reported.row_moment.size - moments.row_moment.size
     flight = float(np.mean(reported.flights)) or 1.0
-    missed, spurious = max(options.missed, 1e-6), max(options.spurious, 1e-6)
-    evidence = fit.log_density + inserted * log(missed) + max(rejected, 0) * log(spurious / flight)
+    missed = np.maximum(fit.problem.errors.missed[moments.inserted], _LEAST)
+    evidence = fit.log_density + float(np.sum(np.log(missed)))
+    evidence += max(rejected, 0) * log(max(options.spurious, _LEAST) / flight)
     return Explanation(fit, verdict_on(fit), evidence)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.explanation import Explanation, explanation
 from impact_observer.batch.motion_fit import BatchProblem, MotionFit, fitted
 from impact_observer.batch.recorded_run import RecordedRun
@@ -16,6 +17,7 @@ from impact_observer.batch.verdict import FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError, IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.uncertainty import deviation_of, suggested_deviation
+from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors
 from impact_observer.model.free_parameters import OFFSET, is_phase, parameters_beside
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
@@ -135,6 +137,7 @@ def identify(
     dead_time: float = Options.dead_time,
     mislabelled: float = Options.mislabelled,
     prior: ParameterUncertainty | None = None,
+    sensors: ContactSensors = NO_SENSORS,
 ) -> Identification:
     """Fit the parameters of a family, and the initial state, to impact times and to samples.
 
@@ -150,6 +153,7 @@ def identify(
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
         mislabelled: probability that an impact is reported for another contact.
         prior: how well the given values of parameters are known; None if unknown.
+        sensors: declared errors of the sensors of single contacts.
 
     Raises:
         UsageError: something arrives live, the clock's offset is free under a sampled forcing, or
@@ -181,6 +185,7 @@ def identify(
         mean=np.zeros(2 * system.n),
         start=_START * np.diag(deviation_of(str(options.initial_deviation), system)),
         theta=prior_root(family, prior),
+        errors=ContactErrors.of(sensors, system.contact_names, Options.missed),
         clock=clock,
         samples=flight_samples(system, measurements, samples, run.epoch, within),
     )

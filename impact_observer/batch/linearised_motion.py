@@ -4,7 +4,8 @@
 Node 0 is the start; node ``k`` is the state just before the ``k``-th moment, at the stamp of the
 moment. A state jumps at its own instant, where its gap is zero, and flies to the next stamp. So a
 jump at a stamp is: flow by ``late`` seconds, jump, flow back. Its derivative is the saltation
-matrix. The measured number of a moment is ``late``, the own instant minus the stamp.
+matrix. The measured number of a moment is ``late``, the own instant minus the stamp, plus the
+latency of the sensor.
 """
 
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.moments import Indices, Moments, MomentSwitching, grouped
 from impact_observer.dynamics.tangent import GuardRows, Maps, Tangent
 from impact_observer.events import Contacts
@@ -39,7 +41,7 @@ class LinearisedMotion(NamedTuple):
         Gamma: derivatives of the next state by the parameters, shape (K, 2n, p).
         defect: where flights end minus ``x`` there, shape (K, 2n).
         kick: what a rebound that is faster by the speed of approach adds, shape (K + 1, 2n).
-        late: own instants minus stamps, shape (R,), s.
+        late: own instants minus stamps, plus latencies, shape (R,), s.
         late_by_x: derivatives of ``late`` by ``x``, shape (R, 2n).
         late_by_theta: derivatives of ``late`` by the parameters, shape (R, p).
         speed: contact speeds before the impacts, shape (R,), m/s.
@@ -70,7 +72,9 @@ class LinearisedMotion(NamedTuple):
         return np.hstack([self.late_by_x, self.late_by_theta])
 
 
-def linearised(tangent: Tangent, moments: Moments, x: Matrix) -> LinearisedMotion:
+def linearised(
+    tangent: Tangent, moments: Moments, x: Matrix, errors: ContactErrors
+) -> LinearisedMotion:
     """Linearise the motion about states at the nodes, shape (K + 1, 2n).
 
     Raises:
@@ -104,6 +108,9 @@ def linearised(tangent: Tangent, moments: Moments, x: Matrix) -> LinearisedMotio
         maps, begin = tangent.flights(starts, moments.flights[own], held), motion.after[own]
         motion.Phi[own], motion.Gamma[own] = maps.Phi, maps.Gamma(begin)
         motion.defect[own] = maps.of(begin) - x[own + 1]
+    latency, slopes = errors.late(tangent.family, tangent.theta)
+    motion.late[:] += latency[moments.row_contact]
+    motion.late_by_theta[:] += slopes[moments.row_contact]
     return motion
 
 

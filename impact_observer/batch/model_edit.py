@@ -6,6 +6,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from impact_observer.model.contact_sensors import KEY as SENSORS
+from impact_observer.model.free_parameters import LATENCY
 from impact_observer.model.parameter_places import Place, parameter_places
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Vector
@@ -26,12 +28,24 @@ def changes(
     by_name = dict(zip(family.names, values.tolist(), strict=True))
     entries = dict[Place, object]()
     for place in parameter_places(document, family.system):
-        if place.name in by_name:
+        if place.name in by_name and not place.name.startswith(LATENCY):
             number = place.number(by_name.pop(place.name))
             is_phase = place.path[-1] == "phase"
             entries[place.path] = _turn(number) if is_phase else number
+    entries |= dict(_of_sensors(document, by_name))
     others = _of_elements if "bodies" in document else _of_matrices
     return {**entries, **dict(others(document, family, values, by_name))}
+
+
+def _of_sensors(document: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:
+    """The sensors of all contacts, where latencies change."""
+    given = dict(document.get(SENSORS, {}))
+    late = {name.partition(".")[2]: v for name, v in by_name.items() if name.startswith(LATENCY)}
+    if late:
+        for contact, value in late.items():
+            own = dict(given.get(contact, {}))
+            given[contact] = {**own, "latency": own.get("latency", 0.0) + value}
+        yield (SENSORS,), given
 
 
 def _turn(phase: float) -> float:

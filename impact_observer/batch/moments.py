@@ -76,9 +76,11 @@ class Moments:
         self.first_row: Indices = np.searchsorted(self.row_moment, np.arange(len(self.each)))
 
     @property
-    def changed(self) -> int:
-        """Number of inserted moments."""
-        return sum(not each.is_measured for each in self.each)
+    def inserted(self) -> Indices:
+        """Contacts of the missed detections, shape (any,)."""
+        return np.array(
+            [each.switching.hit[0] for each in self.each if not each.is_measured], dtype=np.intp
+        )
 
     @property
     def count(self) -> int:

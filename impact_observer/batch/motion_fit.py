@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.linearised_motion import Array, LinearisedMotion, linearised
 from impact_observer.batch.moments import Moments, grouped
 from impact_observer.batch.noise_sizes import LARGEST_CLOCK, LARGEST_MODEL, ROUNDED, NoiseDensity
@@ -67,7 +68,8 @@ class BatchProblem:
         mean: of the initial state (q, u) in the frame, shape (2n,).
         start: root of its covariance, shape (2n, 2n).
         theta: root of the covariance of the parameters about their nominal values, shape (p, p).
-        clock: declared standard deviation of a stamp, s; None to estimate the deviation.
+        errors: declared errors of each contact's sensor.
+        clock: declared standard deviation of other stamps, s; None to estimate the deviation.
         samples: of sensors beside the impacts.
     """
 
@@ -76,13 +78,21 @@ class BatchProblem:
     mean: Vector
     start: Matrix
     theta: Matrix
+    errors: ContactErrors
     clock: float | None = None
     samples: tuple[FlightSamples, ...] = ()
 
     def __post_init__(self) -> None:
-        """Take the rounding of stamps to 1 ns for the least error of a clock."""
+        """Take the rounding of stamps to 1 ns for the least declared error of a clock."""
+        if self.clock is None and not np.isnan(self.errors.clock).any():
+            object.__setattr__(self, "clock", float(np.max(self.errors.clock, initial=0.0)))
         if self.clock is not None:
             object.__setattr__(self, "clock", max(self.clock, ROUNDED))
+
+    def stamp_deviations(self, sizes: NoiseSizes) -> Vector:
+        """Standard deviations of the stamps of all measured gaps, shape (R,), s."""
+        declared = self.errors.clock[self.moments.row_contact]
+        return np.where(np.isnan(declared), sizes.clock, np.maximum(declared, ROUNDED))
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +209,7 @@ class MotionFit:
         """Residuals of the stamps over their own deviations, shape (R,)."""
         roots = self.back.nodes.root[0::2][1 + self.problem.moments.row_moment]
         taken = np.einsum("rn,rnm->rm", self.motion.late_by_y, roots)
-        sigma = self.sizes.clock
+        sigma = self.problem.stamp_deviations(self.sizes)
         left = (sigma * self.inflation) ** 2 - np.einsum("rm,rm->r", taken, taken)
         return np.asarray(self.residuals / np.sqrt(np.maximum(left, (1e-2 * sigma) ** 2)))
 
@@ -217,8 +227,8 @@ class MotionFit:
         found = [
             (update.innovation, update.spread)
             for step, trace in zip(self.steps, self.way.traces, strict=True)
-            for row, update in zip(step.rows, trace.updates, strict=True)
-            if row.is_instant
+            for update in trace.updates
+            if not step.is_jump
         ]
         first = self.x.shape[1] + self.problem.family.size
         nu, s = np.reshape(found[first:], (-1, 2)).T
@@ -287,7 +297,7 @@ def fitted(
         were, sizes = sizes, fit.sizes
         size = ", ".join(f"{each:.1g}" for each in sizes)
         show(f"motion {number + 1} (clock, rebounds, model: {size})")
-        z = np.abs(fit.residuals) / sizes.clock
+        z = np.abs(fit.residuals) / problem.stamp_deviations(sizes)
         before, inflation = inflation, np.sqrt(np.maximum(z / _HUBER, 1.0))
         of_samples = fit.samples.inflation(fit.sample_errors)
         steady = np.max(np.abs(before / inflation - 1), initial=0.0) < _STEADY
@@ -331,7 +341,7 @@ def linearised_fit(
         DynamicsError: the forcing has no sample at a moment.
     """
     tangent, moments = Tangent(problem.family, theta), problem.moments
-    motion = linearised(tangent, moments, x)
+    motion = linearised(tangent, moments, x, problem.errors)
     near = 0.0 if is_first else _SURE * sizes.clock
     samples = sample_rows(tangent, moments, motion, problem.samples, near)
     if inflation is None:
@@ -343,9 +353,11 @@ def linearised_fit(
     jumps = np.concatenate([motion.jump, motion.jump_by_theta], axis=2)
     flights = np.concatenate([motion.Phi, motion.Gamma], axis=2)
     hits = [list[MeasuredRow]() for _ in range(K)]
+    is_common = np.isnan(problem.errors.clock)[moments.row_contact].tolist()
+    deviation = inflation * problem.stamp_deviations(NoiseSizes(1.0))
     for r, k in enumerate(moments.row_moment.tolist()):
-        row = MeasuredRow(motion.late_by_y[r], float(motion.late[r]), float(inflation[r]))
-        hits[k].append(row)
+        value, own = float(motion.late[r]), float(deviation[r])
+        hits[k].append(MeasuredRow(motion.late_by_y[r], value, own, is_common[r]))
     sampled, noise = (
         samples.compressed(sample_inflation, K + 1),
         _noise(tangent, moments, intensity),

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.linalg import block_diag
 
+from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.explanation import Explanation, explanation
 from impact_observer.batch.filter_account import TracedLaw
 from impact_observer.batch.motion_fit import BatchProblem
@@ -19,6 +20,7 @@ from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import Model, System
+from impact_observer.model.contact_sensors import NO_SENSORS
 from impact_observer.model.free_parameters import OFFSET, parameters_beside, parametric_family
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
@@ -134,6 +136,7 @@ def _smoothed(  # noqa: PLR0917
         raise BagError("it holds no impact of the model's contacts")
     if known is not None:
         return SmoothedRun(run, known, declared)
+    sensors = model.sensors if isinstance(model, Model) else NO_SENSORS
     uncertain = model.uncertainty if isinstance(model, Model) else None
     is_fitted = uncertain is not None and uncertain.is_fitted_to(key.stamp for key in run.keys)
     family, root = _unknowns(model, system, declared, _FITTED if is_fitted else 1.0)
@@ -146,6 +149,7 @@ def _smoothed(  # noqa: PLR0917
         mean=system.to_frame(at, x[None])[0],
         start=declared.root(system.n),
         theta=root,
+        errors=ContactErrors.of(sensors, system.contact_names, options.missed),
         clock=declared.clock_error,
         samples=flight_samples(system, measurements, samples, run.epoch, (run.start, last)),
     )

@@ -19,7 +19,7 @@ LARGEST_MODEL_ERROR = 1e-3
 _LARGEST_SCATTER = 0.06
 """Largest scatter of rebounds with which a model fits: rigs have 0.01 to 0.05."""
 _OF_FLIGHTS = 0.005
-"""Part of the median flight above which no error of stamps is one of a clock."""
+"""Part of the mean flight above which no error of stamps is one of a clock."""
 _LAGS = 10
 """Most lags of the tested autocorrelations."""
 _UNREACHED = 0.1
@@ -84,7 +84,7 @@ def whiteness(values: Vector) -> float:
 def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
     """Yield what speaks against a model, a line each."""
     moments = fit.problem.moments
-    flight = float(np.median(np.append(moments.flights[moments.flights > 0], np.inf)))
+    flight = float(np.mean(moments.flights[1:])) if moments.count > 1 else np.inf
     limits = NoiseSizes(found.clock, _LARGEST_SCATTER, LARGEST_MODEL_ERROR)
     is_large = not fit.density.allows(limits, fit.sizes, found.declared)
     if not fit.is_settled:
@@ -106,7 +106,7 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
     if speeds.size and float(np.median(speeds)) > 0:
         yield "contacts open where they should close: the motion is on the other side of a stop"
     yield from _of_sensors(fit)
-    changed = moments.changed
+    changed = int(np.sum(fit.problem.errors.has_sensor[moments.inserted]))
     if changed > _OUTLIERS * max(moments.count, 1):
         yield f"{changed} of {moments.count} impacts had to be inserted"
 

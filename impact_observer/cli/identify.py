@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
                 dead_time=sensor.dead_time,
                 mislabelled=sensor.mislabelled,
                 prior=given.prior,
+                sensors=given.model.sensors,
             )
         except BagError as error:
             raise type(error)(f"{args.bag}: {error}") from None

@@ -197,6 +197,7 @@ def _identified(
             progress=lambda what: show(f"{family.system.name}: {what}"),
             mislabelled=task.mislabelled,
             prior=prior,
+            sensors=model.sensors,
         )
     except (IdentificationError, DynamicsError) as error:
         return None, str(error)

@@ -15,7 +15,7 @@ from impact_observer.model.rebounds import REBOUND_UNITS
 from impact_observer.model.system import System, unit_of
 from impact_observer.states import Matrix
 
-OFFSET = "clock-offset"
+OFFSET, LATENCY = "clock-offset", "latency"
 UNITS = {
     **REBOUND_UNITS,
     "gap": "m",
@@ -36,12 +36,13 @@ UNITS = {
     "ground-phase": "rad",
     "ground-frequency": "rad/s",
     OFFSET: "s",
+    LATENCY: "s",
     "contact-time": "s",
 }
 """Kinds of free parameters and their SI units, with coordinates in m; empty for a ratio."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
 """SI units of other learned quantities of an observer; no entry for a ratio."""
-_ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase", "ground-frequency"}
+_ONLY_IDENTIFIED = {OFFSET, LATENCY, "ground-amplitude", "ground-phase", "ground-frequency"}
 """Kinds that only ``identify`` learns: an observer takes clock and grounds from the model."""
 STAND_INS = {"contact-time", "harmonic-force", "forcing-quadrature", "impulse-aside"}
 """Kinds that stand for errors of a model, and are none of a model file."""
@@ -193,6 +194,8 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
     # Stamps that are late by an offset have the effect of a forcing that lags by the offset.
     lag = -system.forcing.frequency
     yield parameter(OFFSET, 0.0, (-_LONGEST, _LONGEST), _LONGEST, phase=lag)
+    for name in system.contact_names:  # beyond the latency that a model declares
+        yield parameter(f"{LATENCY}.{name}", 0.0, (-_LONGEST, _LONGEST), _LONGEST)
 
 
 def _of_forcing(system: System) -> Iterator[ModelParameter]:

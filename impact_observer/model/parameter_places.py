@@ -43,6 +43,10 @@ def parameter_places(document: Mapping[str, Any], system: System) -> Iterator[Pa
         for k, each in enumerate(ground["motion"].get("harmonics", [])):
             place: Place = ("grounds", i, "motion", "harmonics", k)
             yield from _of_harmonic(place, each, "ground", f"{ground['name']}.{k + 1}")
+    for name, sensor in document.get("sensors", {}).items():
+        if isinstance(sensor, Mapping) and "latency" in sensor:
+            place = ("sensors", name, "latency")
+            yield ParameterPlace(f"latency.{name}", place, 1.0, sensor["latency"])
     is_of_elements = "bodies" in document
     contacts = "stops" if is_of_elements else "contacts"
     for i, contact in enumerate(document.get(contacts, [])):

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from systems import sample
 
+from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.linearised_motion import linearised
 from impact_observer.batch.recorded_run import RecordedRun
@@ -15,12 +16,14 @@ from impact_observer.batch.smoothing import smoothed_runs
 from impact_observer.dynamics.tangent import Tangent
 from impact_observer.events import ImpactEvent
 from impact_observer.model import Model
+from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensor, ContactSensors
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S
 
 EPOCH = 5 * NS_PER_S
+EXACT = ContactErrors.of(NO_SENSORS, ("stop",), 0.0)
 FREE = ("restitution", "gap", "stiffness-scale")
 WRONG = {
     "two_mass": {"restitution.stop": 0.66, "stiffness-scale": 1.05},
@@ -136,17 +139,47 @@ def test_a_jump_has_the_derivatives_of_differences() -> None:
     moments = RecordedRun.of(model.system, events).reported()
     (run,) = smoothed_runs(model.system, events, Options(clock_error=1e-3, epoch=EPOCH))
     x, step = run.fit.states[0], 1e-6
-    own = linearised(Tangent(family), moments, x)
+    own = linearised(Tangent(family), moments, x, EXACT)
     for i, one in enumerate(np.eye(4)):
-        more, less = (linearised(Tangent(family), moments, x + s * step * one) for s in (1, -1))
+        more, less = (
+            linearised(Tangent(family), moments, x + s * step * one, EXACT) for s in (1, -1)
+        )
         slope = (more.after - less.after) / (2 * step)
         np.testing.assert_allclose(own.jump[1:, :, i], slope[1:], atol=2e-6)
         late = (more.late - less.late) / (2 * step)
         np.testing.assert_allclose(own.late_by_x[:, i], late, atol=2e-6)
     for j, one in enumerate(np.eye(family.size)):
         more, less = (
-            linearised(Tangent(family, family.nominal + s * step * one), moments, x)
+            linearised(Tangent(family, family.nominal + s * step * one), moments, x, EXACT)
             for s in (1, -1)
         )
         slope = (more.after - less.after) / (2 * step)
         np.testing.assert_allclose(own.jump_by_theta[1:, :, j], slope[1:], atol=2e-6)
+
+
+def test_each_contact_has_a_clock_of_its_own() -> None:
+    """Of one stamps jitter by 0.01 ms and are 2 ms late, of the other by 0.3 and 0.5 ms."""
+    model, events, _ = recorded("three_mass", 60.0, 0.0, 1)
+    jitter, late = {"left": 1e-5, "right": 3e-4}, {"left": 0.002, "right": 0.0005}
+    rng, moved = np.random.default_rng(1), list[ImpactEvent]()
+    for each in events:
+        name = each.switches[0].contact
+        by = late[name] + jitter[name] * rng.normal()
+        moved.append(replace(each, stamp=each.stamp + round(by * NS_PER_S)))
+    moved = [
+        replace(each, sequence=k)
+        for k, each in enumerate(sorted(moved, key=lambda each: each.stamp), start=1)
+    ]
+    sensors = ContactSensors(tuple((name, ContactSensor(jitter[name])) for name in jitter))
+    family = parametric_family(model.system, ("restitution", "latency"), model.elements)
+    found = identify(family, moved, sensors=sensors)
+    assert found.verdict.fits
+    true = np.array([0.6, 0.8, late["right"], late["left"]])
+    assert family.names == (
+        "restitution.right",
+        "restitution.left",
+        "latency.right",
+        "latency.left",
+    )
+    assert np.all(np.abs(found.values - true) < 3.5 * found.errors)
+    assert found.errors[3] < 3e-5 < found.errors[2]
