@@ -327,7 +327,8 @@ def durations(_: Checkout, _folder: Path, seed: int, *, hits: int) -> Figures:
     timed("identify, right set", lambda: tried(plant, events))
     timed("identify, wrong set", lambda: tried(plant._replace(free=("restitution",)), events))
     right = plant.true_system
-    options = Options(epoch=EPOCH, clock_error=1e-5, initial_deviation=suggested_deviation(right))
+    usual = suggested_deviation(right) or Options.initial_deviation
+    options = Options(epoch=EPOCH, clock_error=1e-5, initial_deviation=usual)
     timed("smooth", lambda: smoothed_runs(right, events, options)[0].fit.covariance)
     rng = np.random.default_rng(seed)
     spread = np.cumsum(rng.uniform(0.3, 2.5, len(events)) * NS_PER_S).astype(np.int64)
