@@ -3,10 +3,9 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from impact_observer.model import System
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 
 def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> Vector:
@@ -19,10 +18,3 @@ def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> 
     kinetic = np.einsum("i...,i...->...", np.tensordot(system.M, u, 1), u)
     potential = np.einsum("i...,i...->...", np.tensordot(system.K, q, 1), q)
     return np.asarray((kinetic + potential) / 2)
-
-
-def root_of_energy(system: System) -> Matrix:
-    """``R`` with ``V = |R (dq, du)|^2``, shape (2n, 2n)."""
-    stiffness, shapes = linalg.eigh(system.K)
-    springs = np.sqrt(np.maximum(stiffness, 0.0) / 2)[:, None] * shapes.T
-    return np.asarray(linalg.block_diag(springs, linalg.cholesky(system.M / 2)))

@@ -513,16 +513,6 @@ class Robot:
             ]
         )
 
-    def gap_rates(
-        self, x: Vector, tau: Vector, contacts: Sequence[int], closed: Sequence[int] = ()
-    ) -> tuple[Vector, Vector, Vector]:
-        """``g, dg/dt, d2g/dt2`` of ``contacts`` along the flow, shape (k,) each, SI units."""
-        q, u = x[: self.n], x[self.n :]
-        g, W = self.gaps_and_directions(q, contacts)
-        acceleration = self.acceleration(q, u, tau, closed)
-        rising = W.T @ acceleration + self.bias(q, u, contacts)
-        return g, W.T @ u, np.asarray(rising)
-
     def speed_gradients(
         self, q: Vector, u: Vector, contacts: Sequence[int] | None = None
     ) -> Matrix:
@@ -649,40 +639,6 @@ class Robot:
             [self.rebounds[i].sensitivity(g)[0] for i, g in zip(pushed, gamma, strict=True)]
         )
         return np.vstack([np.zeros((n, len(pushed))), -held @ _least(W.T @ held, lost)])
-
-    def saltation(
-        self,
-        x: Vector,
-        tau: Vector,
-        hit: int,
-        pushed: Sequence[int] | None = None,
-        *,
-        closed: tuple[Contacts, Contacts] = ((), ()),
-        since_onset: tuple[Vector, Matrix] | None = None,
-    ) -> Matrix:
-        """``Xi = D_x R + (F+ - D_x R F-) D_x g / (D_x g F-)`` of an impact, shape (2n, 2n).
-
-        If the impact lasts, ``x`` is the state where velocities jump, half of the contact time
-        after the onset at which the gap is zero. There the last quotient becomes
-        ``D_x g Phi^-1 / gamma`` of the onset, with the flow ``Phi`` from there to the jump.
-
-        Args:
-            x: the state before the jump, on the plane of ``hit`` unless the impact lasts.
-            tau: torques at the impact.
-            hit: the contact whose gap closes.
-            pushed: the contacts that take an impulse; ``hit`` alone if None.
-            closed: contacts that are closed before and after the impact.
-            since_onset: of an impact that lasts: the state at the onset, shape (2n,), and
-                ``Phi``, shape (2n, 2n).
-        """
-        pushed = (hit,) if pushed is None else pushed
-        J, n = self.jump_derivatives(x, pushed), self.n
-        before = self.rates(x, tau, closed[0])
-        after = self.rates(self.jumped(x, pushed), tau, closed[1])
-        onset, Phi = (x, np.eye(2 * n)) if since_onset is None else since_onset
-        gradient = np.append(self.directions(onset[:n], (hit,))[:, 0], np.zeros(n))
-        seen = np.linalg.solve(Phi.T, gradient) / gradient[:n].dot(onset[n:])
-        return np.asarray(J + np.outer(after - J @ before, seen))
 
     def is_nonexpansive(self, q: Vector, contacts: Sequence[int]) -> bool:
         """Whether ``G - E G E >= 0`` on ``contacts`` at ``q``: then no impact raises V.

@@ -6,7 +6,6 @@ import pytest
 from systems import chain, sample, system
 
 from impact_observer.dynamics import lyapunov
-from impact_observer.model import System
 
 
 def test_distance_is_half_the_energy_of_the_difference() -> None:
@@ -46,12 +45,3 @@ def test_distance_keeps_the_shape_of_what_it_is_given() -> None:
         float(lyapunov.distance(model, q[1, 2], u[1, 2])), rel=1e-14
     )
     assert lyapunov.distance(model, q[0, 0], u[0, 0]).shape == ()
-
-
-@pytest.mark.parametrize("model", [chain(3), sample("bouncing_ball").system])
-def test_distance_is_the_square_of_its_root(model: System) -> None:
-    """Also where stiffness is singular."""
-    x = np.random.default_rng(3).normal(size=(4, 2 * model.n))
-    found = np.sum((x @ lyapunov.root_of_energy(model).T) ** 2, axis=1)
-    expected = lyapunov.distance(model, *np.split(x, 2, axis=1))
-    np.testing.assert_allclose(found, expected, rtol=1e-13)

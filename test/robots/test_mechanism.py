@@ -92,6 +92,30 @@ def test_impacts_have_the_derivatives_of_differences(kind: str) -> None:
     assert np.allclose(after, -eps * before)
 
 
+def test_impact_rates_and_gaps_make_the_derivative_of_a_flow_through_an_impact(kind: str) -> None:
+    """Saltation: each state has its own impact and is followed to the same instant."""
+    mechanism = changed(kind, np.zeros(3))
+    n = mechanism.system.n
+    x = mechanism.struck(states(mechanism)[0], (0,), plastic=True)  # on the stop
+    W = mechanism.gaps(x).W[0]
+    x[n:] -= W * (W @ x[n:] + 1.0) / (W @ W)  # it hits with 1 m/s
+
+    def through(change: Array) -> Array:
+        start, s = (x + change)[None], np.zeros(1)
+        for _ in range(20):
+            before = mechanism.flown([T], start, s, ()).x
+            gaps = mechanism.gaps(before)
+            s = s - gaps.g[:, 0] / gaps.gamma[:, 0]
+        after = mechanism.impact(mechanism.flown([T], start, s, ()).x, (0,)).x
+        return np.asarray(mechanism.flown([T + float(s[0])], after, -s, ()).x[0])
+
+    jump = mechanism.impact(x[None], (0,))
+    before, after = (mechanism.rates([T], each, ())[0] for each in (x[None], jump.x))
+    J, gradient = jump.Phi[0], np.concatenate([W, np.zeros(n)])
+    Xi = J + np.outer(after - J @ before, gradient) / mechanism.gaps(x).gamma[0]
+    assert np.allclose(slopes(through, 2 * n), Xi, rtol=1e-5, atol=1e-5)
+
+
 def test_gaps_and_speeds_belong_together(kind: str) -> None:
     """Speeds of contacts are the derivatives of gaps along the motion."""
     mechanism = changed(kind, np.zeros(3))
