@@ -174,9 +174,10 @@ def first_below(c: list[float], depth: float, low: float = 0.0) -> float | None:
     last = len(c)
     while last > 1 and c[last - 1] == 0.0:
         last -= 1
-    c = c[:last]
-    slope = [k * each for k, each in enumerate(c)][1:]
-    bend = sum(abs(k * each) for k, each in enumerate(slope))
+    c, slope, bend = c[:last], list[float](), 0.0
+    for k in range(1, last):
+        slope.append(k * c[k])
+        bend += abs((k - 1) * slope[-1])
     at_low, at_high = horner(c, low), horner(c, 1.0)
     if at_low < -depth:
         return low

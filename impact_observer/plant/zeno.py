@@ -47,24 +47,28 @@ def resting(
         contacts: that took part.
         shortest: longest flight that counts as zero, s.
     """
-    lowest = LOW * here.reach
 
     def flight(i: int, fall: float) -> float:
         """Next flight, relative to the longest that counts as none.
 
         ``fall`` is the acceleration back, m/s2, zero for a contact that does not return.
         """
-        speed = float(gamma[i])
+        speed, lowest = float(gamma[i]), LOW * float(here.reach[i])
         if speed <= still[i]:
             return 0.0
         if fall <= 0:
             return math.inf
-        return min(2 * speed / fall / shortest, speed * speed / (2 * fall) / float(lowest[i]))
+        return min(2 * speed / fall / shortest, speed * speed / (2 * fall) / lowest)
 
     # A contact that still closes hits again at once: Newton's law allows it after separating.
     # No contact comes back faster than with the whole acceleration, which mostly decides.
-    most = here.length * math.sqrt(here.free.dot(here.free)) + np.abs(here.bias)
-    left = [i for i in contacts if gamma[i] >= -still[i] and flight(i, float(most[i])) <= 1.0]
+    size = math.sqrt(here.free.dot(here.free))
+    most = [float(here.length[i]) * size + abs(float(here.bias[i])) for i in contacts]
+    left = [
+        i
+        for i, fall in zip(contacts, most, strict=True)
+        if gamma[i] >= -still[i] and flight(i, fall) <= 1.0
+    ]
     while left:
         flights = list(map(flight, left, _falls(here, left)))
         if max(flights) <= 1.0:
