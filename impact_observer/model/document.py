@@ -54,6 +54,8 @@ def converted(value: Value, kind: type[T], key: str = "") -> T:
     Raises:
         ModelError: one line that names the key, what was found and what is expected.
     """
+    if isinstance(value, np.generic):  # a number of an array is a number
+        value = value.item()
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
