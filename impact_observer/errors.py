@@ -73,7 +73,7 @@ class ModelError(UsageError):
 
     def in_file(self, source: str) -> "ModelError":
         """The error with the name of the file before the key, unless it is there."""
-        if self.key.startswith(source):
+        if self.key == source or self.key.startswith(f"{source}: "):
             return self
         return ModelError(f"{source}: {self.key}" if self.key else source, self.problem)
 
