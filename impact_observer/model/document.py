@@ -54,12 +54,17 @@ def converted(value: Value, kind: type[T], key: str = "") -> T:
     Raises:
         ModelError: one line that names the key, what was found and what is expected.
     """
-    if isinstance(value, np.generic):  # a number of an array is a number
-        value = value.item()
     try:
-        return msgspec.convert(value, kind)
+        return msgspec.convert(_without_numpy(value), kind)
     except msgspec.ValidationError as error:
         raise _explained(str(error), value, kind, key) from None
+
+
+def _without_numpy(value: Value) -> Value:
+    """A value, or a mapping, in which a number of an array is a number."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return {k: _without_numpy(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
 def _explained(message: str, found: Value, kind: object, key: str) -> ModelError:

@@ -206,18 +206,9 @@ def test_joints_that_follow_held_ones_are_held_too() -> None:
 @pytest.mark.parametrize(
     ("keys", "line"),
     [
-        (
-            {"initial_state": "{position: [0, 1], velocity: [0, 0]}"},
-            ("initial_state.position"),
-        ),
-        (
-            {"forcing": "{harmonics: [{frequency: 5, sine: [4, 1]}]}"},
-            ("forcing.harmonics[0].sine"),
-        ),
-        (
-            {"damping": "{elbow: 0.1}"},
-            ("damping.elbow"),
-        ),
+        ({"initial_state": "{position: [0, 1], velocity: [0, 0]}"}, "initial_state.position"),
+        ({"forcing": "{harmonics: [{frequency: 5, sine: [4, 1]}]}"}, "forcing.harmonics[0].sine"),
+        ({"damping": "{elbow: 0.1}"}, "damping.elbow"),
     ],
 )
 def test_numbers_of_joints_that_the_model_leaves_out_name_these_joints(

@@ -3,12 +3,14 @@
 
 import math
 
+import numpy as np
 import pytest
 from systems import sample
 
 from impact_observer.errors import ModelError
 from impact_observer.model import parse_model, read_model
 from impact_observer.model.contact_sensors import ContactSensor, ContactSensors
+from impact_observer.model.rebounds.power_law import PowerLaw
 
 RIG = """
 name: rig
@@ -74,3 +76,11 @@ def test_values_are_checked_in_python_too() -> None:
     """By the key of the model file."""
     with pytest.raises(ModelError, match=r"sensors.stop.latency: nan found"):
         ContactSensors((("stop", ContactSensor(latency=math.nan)),))
+
+
+def test_a_number_of_an_array_is_a_number() -> None:
+    """As where sensors or rebound laws are computed."""
+    sensor = ContactSensor(clock_error=np.float64(1e-4))
+    assert ContactSensors((("stop", sensor),)).document == {"stop": {"clock_error": 1e-4}}
+    law = PowerLaw(np.float64(0.5), 1.0, np.float64(-0.1))
+    assert law.checked("contacts[0]") == PowerLaw(0.5, 1.0, -0.1)
