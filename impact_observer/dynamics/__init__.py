@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact motion between events, the law at an impact, and where a phase of motion ends.
 
-``flow`` moves a state through one linear phase by the ``exponential`` of its matrix, ``phase`` has
-the phases of a system, ``contact`` closes and opens contacts, ``watched`` says what ends a phase,
-and ``roots`` finds when.
+``mechanism`` is what other rooms ask of a model, and ``linear_mechanism`` answers for linear
+systems: ``flow`` moves a state through one linear phase by the ``exponential`` of its matrix,
+``phase`` has the phases of a system, ``contact`` closes and opens contacts, ``watched`` says what
+ends a phase, ``roots`` finds when, and ``tangent`` has derivatives.
 """
 
 from impact_observer.dynamics.contact.clutch import Clutches, Piecewise
