@@ -38,10 +38,10 @@ _WORDS: dict[object, str] = {
     int: "a whole number",
     str: "a name",
     bool: "true or false",
-    tuple: "a list",
-    dict: "a mapping",
+    dict: "keys and values",
 }
-"""What types are called in errors."""
+_MEMBERS: dict[object, str] = {float: "numbers", str: "names", tuple: "lists of numbers"}
+"""What types, and the members of lists, are called in errors."""
 
 
 class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -140,13 +140,17 @@ def _expected(kind: object) -> str:
         return " or ".join(map(str, get_args(kind)))
     if structs := _structs(kind):
         return f"keys: {', '.join(structs[0].__struct_fields__)}"
+    if get_origin(kind) is tuple:
+        (member, *_) = _alternatives(get_args(kind)[0])
+        return f"a list of {_MEMBERS.get(get_origin(member) or member, 'keys and values')}"
     return _WORDS.get(get_origin(kind) or kind, "something else")
 
 
 def _bounds(meta: Meta) -> str:
     """The bounds of a number or of the length of a list, in words; empty for the usual ones."""
     if meta.min_length is not None:
-        return f" of {meta.min_length} to {meta.max_length or 'any number of'} members"
+        least, most = meta.min_length, meta.max_length
+        return f", {least}" if least == most else f", at least {least}"
     low, high = meta.ge if meta.gt is None else meta.gt, meta.le if meta.lt is None else meta.lt
     if low is None or high is None or (low, high) == (-LARGEST, LARGEST):
         return ""
