@@ -55,13 +55,12 @@ def test_peaks_in_the_dead_time_are_counted_and_found_with_a_shorter_one(
     """Ringing is not counted; the dead time in use is printed."""
     (tmp_path / "long").mkdir()
     assert len(detect(tmp_path / "long")) == 8
-    said = capsys.readouterr().out
-    assert "anvil: 8 impacts (/az, peak, dead time 0.02 s, 4 suppressed in it, stamps" in said
+    row = ["anvil", "/az,", "peak", "0.02", "8", "0", "4"]  # dead time, impacts, suppressed
+    assert row in [line.split()[:7] for line in capsys.readouterr().out.splitlines()]
     stamps = detect(tmp_path, "--dead-time", "0.008")
     assert len(stamps) == len(HITS)
     assert np.abs(errors(stamps)).max() < 0.001
-    said = capsys.readouterr().out
-    assert "(/az, peak, dead time 0.008 s, stamps" in said
+    assert "anvil /az, peak 0.008 12 " in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_onset_of_a_ringing_signal_does_not_scatter(
