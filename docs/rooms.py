@@ -28,9 +28,9 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (Room("robots", "rigid bodies of a URDF: motion, contacts, derivatives", "pinocchio"),),
     (
         Room("plant", "event-driven plant, sensor and its faults"),
-        Room("filter", "Kalman filter of impact times, saltation, hypotheses", ""),
-        Room("bank", "the same on arrays, which is to replace it"),
+        Room("filter", "the filter of robots, hypotheses as objects; sensors, what is declared"),
     ),
+    (Room("bank", "Kalman filter of impact times: hypotheses as arrays"),),
     (Room("observer", "observer, timeline with roll-back, verdicts, the laws"),),
     (
         Room(

@@ -13,26 +13,48 @@ from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
 Array = NDArray[np.float64]
-TRUE, SPURIOUS, MISSED, OTHER, RESTART = range(1, 6)
+TRUE, SPURIOUS, MISSED, OTHER, RESTART, RELEASED = range(1, 7)
 """Decisions on an event or a predicted impact; a decision is ``8 contact + one of these``."""
+
+
+class Missed(NamedTuple):
+    """An impact that was predicted and not reported.
+
+    Attributes:
+        contact: index.
+        t: when, s since the epoch.
+        depth: penetration that the estimate would reach without it, in standard deviations.
+        is_dead: whether the sensor could not report it.
+    """
+
+    contact: int
+    t: Elapsed
+    depth: float
+    is_dead: bool
 
 
 class Hypotheses(NamedTuple):
     """Hypotheses on what the events were, at one instant.
 
+    A state has N numbers: d = 2n of (q, u), the parameters of the model, and the delay of the
+    stamps where it is estimated.
+
     Attributes:
-        x: means of the states (q, u, constants), shape (H, N).
+        x: means of the states, shape (H, N).
         S: roots of their covariances, without the error of the model since the last impact,
             shape (H, N, N).
-        B: what that error adds to a root, for a relative error of one, shape (H, N, N).
+        B: what that error adds to the root of (q, u), for a relative error of one, (H, d, d).
         logw: logarithms of the probabilities, shape (H,).
         r: rungs of the ladder of errors, shape (H,).
         c: rungs of the ladder of the clock, shape (H,).
-        past: the latest decisions, the newest last, shape (H, L).
+        past: the latest decisions as numbers, the newest last, shape (H, L).
         paid: log probability of no impact that a dip which still lasts has cost, shape (H, m).
+        sunk: the least log probability that a dip has cost since the last event, shape (H,).
         held: bits of the contacts that are closed, shape (H,).
         just: bits of the contacts that have hit last, shape (H,).
         tried: bits of the contacts whose dip lasts and has branched already, shape (H,).
+        missed: impacts since the last event, tuples of ``Missed``, shape (H,).
+        notes: decisions on the latest events, tuples of ``Note``, shape (H,).
     """
 
     x: Array
@@ -43,9 +65,12 @@ class Hypotheses(NamedTuple):
     c: NDArray[np.intp]
     past: NDArray[np.intp]
     paid: Array
+    sunk: Vector
     held: NDArray[np.intp]
     just: NDArray[np.intp]
     tried: NDArray[np.intp]
+    missed: NDArray[np.object_]
+    notes: NDArray[np.object_]
 
     @property
     def size(self) -> int:
@@ -63,15 +88,24 @@ class Hypotheses(NamedTuple):
             return parts[0]
         return Hypotheses(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-    def decided(self, decision: int | NDArray[np.intp]) -> NDArray[np.intp]:
-        """``past`` after one more decision."""
+    def decided(self, decisions: int | NDArray[np.intp]) -> NDArray[np.intp]:
+        """``past`` after one more decision each."""
         past = np.roll(self.past, -1, axis=1)
-        past[:, -1] = decision
+        past[:, -1] = decisions
         return past
 
     def roots(self, ladders: Ladders) -> Array:
-        """Roots of the whole covariances, shape (H, N, 2N)."""
-        return np.concatenate([self.S, ladders.errors[self.r, None, None] * self.B], axis=2)
+        """Roots of the whole covariances, shape (H, N, N + d)."""
+        H, N, d = *self.x.shape, self.B.shape[1]
+        found = np.zeros((H, N, N + d))
+        found[:, :, :N] = self.S
+        found[:, :d, N:] = ladders.errors[self.r, None, None] * self.B
+        return found
+
+    def published(self, ladders: Ladders) -> Array:
+        """``roots`` as published: errors of a model persist, and white noise does not."""
+        found = self.roots(ladders)
+        return found * ladders.persistence[self.r, None, None]
 
     @property
     def weights(self) -> Vector:
@@ -89,6 +123,12 @@ class Bank(NamedTuple):
         replica: a geometric replica (q, u) from which the filter restarts, shape (2n,).
         squares: mean squares of the replica's motion, shape (2n,).
         intensity: of the white accelerations of a relative error of one, m/s^1.5, length n.
+        constants: parameters and delay about which flights are linearised, shape (N - 2n,).
+        reported: when each contact was reported to hit last, s since the epoch, shape (m,).
+        doubted: events in a row after which the model was in error almost surely.
+        contradicted: events for which the last contradiction is still told.
+        farthest: innovation at that one, in standard deviations.
+        late: stamp of the last event less ``t``, s: the delay of the stamps as estimated.
     """
 
     t: Elapsed
@@ -96,6 +136,12 @@ class Bank(NamedTuple):
     replica: Vector
     squares: Vector
     intensity: tuple[float, ...]
+    constants: Vector
+    reported: Vector
+    doubted: int = 0
+    late: float = 0.0
+    contradicted: int = 0
+    farthest: float = 0.0
 
     @property
     def sizes(self) -> Vector:
@@ -116,10 +162,10 @@ def mixture(rows: Hypotheses, ladders: Ladders, unpublished: float) -> tuple[Vec
     kept = 1 + int(np.searchsorted(np.cumsum(weights), 1 - unpublished))
     order, weights = order[:kept], weights[:kept] / weights[:kept].sum()
     if kept == 1:
-        return rows.x[order[0]], triangular(rows.roots(ladders)[order[0]])
+        return rows.x[order[0]], triangular(rows.take(order).published(ladders)[0])
     x = rows.x[order]
     mean = x[0]
-    root = rows.roots(ladders)[order]
+    root = rows.take(order).published(ladders)
     wide = np.concatenate([root, (x - mean)[:, :, None]], axis=2) * np.sqrt(weights)[:, None, None]
     return mean, triangular(wide.transpose(1, 0, 2).reshape(len(mean), -1))
 
@@ -137,3 +183,10 @@ def contacts_of(number: int) -> Contacts:
 def spread_of(rows: Hypotheses, ladders: Ladders, functions: Array) -> Array:
     """Deviations of linear functions, shape (H, ..., N), of each hypothesis, shape (H, ...)."""
     return lengths_of(np.einsum("h...i,hik->h...k", functions, rows.roots(ladders)))
+
+
+def objects(values: Sequence[Any]) -> NDArray[np.object_]:
+    """An array of tuples, one each."""
+    found = np.empty(len(values), dtype=np.object_)
+    found[:] = values
+    return found

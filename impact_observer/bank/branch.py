@@ -7,6 +7,7 @@ noise, 1945), which is a density of the instant. A false alarm has a density of 
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy import special
 from impact_observer.bank.bank import Hypotheses
 from impact_observer.bank.ladders import Numbers
 from impact_observer.bank.predict import Flights
+from impact_observer.events import Contacts
 from impact_observer.states import Vector
 
 _LEAST_GAP = 1e-16
@@ -57,10 +59,11 @@ class Branches(NamedTuple):
 
     Attributes:
         h: the hypothesis.
-        contact: the contact that has hit.
+        contact: the contact that has hit; of several the first.
         r: rung of the error afterwards.
         c: rung of the clock afterwards.
         logw: log probability.
+        z: the gap in standard deviations.
     """
 
     h: NDArray[np.intp]
@@ -68,31 +71,56 @@ class Branches(NamedTuple):
     r: NDArray[np.intp]
     c: NDArray[np.intp]
     logw: Vector
+    z: Vector
 
     def take(self, which: NDArray[np.intp]) -> "Branches":
         """The chosen ones."""
-        h, contact, r, c, logw = self
-        return Branches(h[which], contact[which], r[which], c[which], logw[which])
+        h, contact, r, c, logw, z = self
+        return Branches(h[which], contact[which], r[which], c[which], logw[which], z[which])
+
+    @classmethod
+    def joined(cls, parts: Sequence["Branches"]) -> "Branches":
+        """All of ``parts``."""
+        return cls(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def impacts(rows: Hypotheses, contact: int, flights: Flights) -> Branches:
-    """That a ``contact`` has hit, by each hypothesis on each of its new rungs."""
+def impacts(rows: Hypotheses, contacts: Contacts, flights: Flights) -> Branches:
+    """That ``contacts`` have hit, by each hypothesis on each of its new rungs."""
     ladders, leading = flights.ladders, flights.numbers.log_leading
-    w, u = flights.gap_rows[contact], flights.speed_rows[contact]
     h, r, c, k = ladders.moved(rows.r, rows.c, rows.logw > rows.logw.max() + leading)
-    x, S, B = rows.x[:, : w.size], rows.S[:, : w.size], rows.B[:, : w.size]
-    g, v, gS, vS, gB, vB = x @ w + flights.rest[contact], x @ u, w @ S, u @ S, w @ B, u @ B
+    logw = rows.logw[h] + ladders.log_moves[k]
+    g, gg, v, vv, gv = _moments(rows, contacts[0], flights, (h, r, c))
+    mean, deviation = v - gv / gg * g, np.sqrt(np.maximum(vv - gv**2 / gg, 1e-30))
+    z = np.abs(g) / np.sqrt(gg)
+    logw += -(z**2) / 2 - np.log(2 * np.pi * gg) / 2 + _log_closing(mean, deviation)
+    for contact in contacts[1:]:  # at the same instant: their gaps are zero, too
+        g, gg, *_ = _moments(rows, contact, flights, (h, r, c))
+        z = np.maximum(z, np.abs(g) / np.sqrt(gg))
+        logw -= g**2 / gg / 2
+    return Branches(h, np.full(h.size, contacts[0]), r, c, logw, z)
+
+
+def _moments(
+    rows: Hypotheses, contact: int, flights: Flights, rungs: tuple[NDArray[np.intp], ...]
+) -> tuple[Vector, ...]:
+    """Mean and variance of a gap and of its speed, and their covariance, one of each rung."""
+    ladders, d, (h, r, c) = flights.ladders, flights.d, rungs
+    w, u = flights.gap_rows[contact], flights.speed_rows[contact]
+    x = rows.x[:, :d]
+    g, v = flights.gap(contact, x, rows.x[:, d:]), x @ u
+    by_state = np.tile(w, (rows.size, 1))
+    if w.size > d + flights.p:  # the gap before the stamp by the delay
+        by_state[:, -1] -= v
+        g = g - v * (rows.x[:, -1] - flights.constants[-1])
+    gS, vS = np.einsum("hi,hik->hk", by_state, rows.S), u @ rows.S[:, :d]
+    gB, vB = w[:d] @ rows.B, u @ rows.B
     square = ladders.errors[r] ** 2
     gg = np.sum(gS * gS, axis=1)[h] + square * np.sum(gB * gB, axis=1)[h]
     gv = np.sum(gS * vS, axis=1)[h] + square * np.sum(gB * vB, axis=1)[h]
     vv = np.sum(vS * vS, axis=1)[h] + square * np.sum(vB * vB, axis=1)[h]
     least = _LEAST_GAP * np.sum(np.abs(x), axis=1)[h]
     gg += ladders.clocks[c] ** 2 * (v[h] ** 2 + vv) + least**2
-    mean = v[h] - gv / gg * g[h]
-    deviation = np.sqrt(np.maximum(vv - gv**2 / gg, 1e-30))
-    log = -(g[h] ** 2) / gg / 2 - np.log(2 * np.pi * gg) / 2 + _log_closing(mean, deviation)
-    logw = rows.logw[h] + ladders.log_moves[k] + log
-    return Branches(h, np.full(h.size, contact), r, c, logw)
+    return g[h], gg, v[h], vv, gv
 
 
 def _log_closing(mean: Vector, deviation: Vector) -> Vector:

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Corrects hypotheses by an impact: the gap is zero at its own instant, ``v`` before the stamp.
 
-The error ``v`` of the stamp is one more unknown beside the state, with the deviation of the clock.
-The gap ``v`` before the stamp is an exact measurement of both together. The state flows back to
-its own instant, jumps, and flows to the stamp again. No root is divided by a speed, so grazing
-needs no care.
+``v``, the error of the stamp, is one more unknown beside the state, with the deviation of the
+clock, and with the delay where that is estimated. The gap ``v`` before the stamp is an exact
+measurement of both together. The state flows back to its own instant, jumps, and flows to the
+stamp again. No root is divided by a speed, so grazing needs no care.
+
+Considered parameters are not corrected: their rows of the gain are zero (Schmidt 1966).
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.bank.bank import Array, Hypotheses
 from impact_observer.bank.ladders import lengths_of, triangular
@@ -21,19 +24,26 @@ from impact_observer.states import Vector
 _ITERATIONS = 3
 """Linearisations of a gap about the corrected state."""
 
+_FARTHEST = 16.0
+"""Error of a stamp to which states are taken back at most, over the fastest time scale."""
+_ROUNDING = 8 * float(np.finfo(np.float64).eps)
+"""Rounding of a state by an event, over its size."""
+
 
 class Hit(NamedTuple):
     """An impact as hypotheses suppose it.
 
     Attributes:
-        t: the stamp, s since the epoch.
+        t: the stamp less the delay, s since the epoch.
         contacts: those that hit.
         held: contacts that are closed before.
+        closed: contacts that are closed afterwards.
     """
 
     t: Elapsed
     contacts: Contacts
     held: Contacts
+    closed: Contacts
 
 
 class Stamped(NamedTuple):
@@ -50,42 +60,71 @@ class Stamped(NamedTuple):
     root: Array
 
 
-def corrected(rows: Hypotheses, hit: Hit, flights: Flights) -> Hypotheses:
-    """Hypotheses after an impact.
+def corrected(
+    rows: Hypotheses, hit: Hit, flights: Flights, considered: NDArray[np.intp]
+) -> tuple[Hypotheses, Stamped]:
+    """Hypotheses after an impact, and at the stamp without the jump.
 
     Their rungs are those by which they explain the impact; their weights stay.
+
+    Args:
+        rows: hypotheses with the same closed contacts.
+        hit: the impact.
+        flights: near their parameters.
+        considered: numbers of the state that are not estimated.
+
+    Raises:
+        ImpactLawError: the impact law has no solution on these contacts.
     """
-    H, N = rows.x.shape
-    root = np.zeros((H, N + 1, 2 * N + 2))
-    root[:, :N, : 2 * N] = rows.roots(flights.ladders)
-    root[:, N, 2 * N] = flights.ladders.clocks[rows.c]
-    stamped = Stamped(rows.x, np.zeros(H), root)
+    stamped = stamped_of(rows, flights)
     for contact in hit.contacts:
-        stamped = _measured(stamped, contact, hit, flights)
-    return _jumped(rows, stamped, hit, flights)
+        stamped = _measured(stamped, contact, hit, flights, considered)
+    return _jumped(rows, stamped, hit, flights), stamped
 
 
-def _measured(prior: Stamped, contact: int, hit: Hit, flights: Flights) -> Stamped:
+def stamped_of(rows: Hypotheses, flights: Flights) -> Stamped:
+    """Hypotheses at a stamp, with the errors of the stamp."""
+    (H, N), d = rows.x.shape, flights.d
+    root = np.zeros((H, N + 1, N + d + 2))
+    root[:, :N, : N + d] = rows.roots(flights.ladders)
+    root[:, N, N + d] = flights.ladders.clocks[rows.c]
+    v = np.zeros(H)
+    if d + flights.p < N:  # the delay
+        root[:, N, :N] = rows.S[:, N - 1]
+        v = rows.x[:, -1] - flights.constants[-1]
+    return Stamped(rows.x, v, root)
+
+
+def _measured(
+    prior: Stamped, contact: int, hit: Hit, flights: Flights, considered: NDArray[np.intp]
+) -> Stamped:
     """The states whose gap of a ``contact`` is zero ``v`` before the stamp."""
-    (H, N), d = prior.x.shape, 2 * flights.n
+    (H, N), d = prior.x.shape, flights.d
     w, u = flights.gap_rows[contact], flights.speed_rows[contact]
     root, x, v = prior.root, prior.x, prior.v
     # the product of an error of the speed and an error of the stamp
     noise = lengths_of(u @ root[:, :d]) * lengths_of(root[:, N])
-    by_x, row = np.zeros((H, N)), np.zeros((H, root.shape[2]))
+    noise += 1e-16 * np.sum(np.abs(x[:, :d]), axis=1)
+    farthest = _FARTHEST / flights.rate  # damped motions overflow backwards in time
+    samples = flights.tangent.system.forcing.sampled
+    known = np.inf if samples is None else float(hit.t) - float(samples.time[0])
+    earliest = max(min(farthest, known), 0.0)
+    row, gain = np.zeros((H, root.shape[2])), np.zeros((H, N + 1))
     for _ in range(_ITERATIONS):
         maps = flights.tangent.flights([hit.t] * H, -v, hit.held)
-        own = maps.of(x[:, :d])
-        by_x[:, :d], by_v = w @ maps.Phi, -own @ u
+        own, by = flights.images(maps, x)
+        by_x, by_v = np.tile(w, (H, 1)), -own @ u
+        by_x[:, :d] = w[:d] @ maps.Phi
+        by_x[:, d:] += w[:d] @ by
         row = np.einsum("hi,hik->hk", by_x, root[:, :N]) + by_v[:, None] * root[:, N]
         row[:, -1] = noise
-        residual = own @ w + flights.rest[contact]
+        residual = flights.gap(contact, own, x[:, d:])
         residual += np.einsum("hi,hi->h", by_x, prior.x - x) + by_v * (prior.v - v)
         gain = np.einsum("hik,hk->hi", root, row) / np.sum(row * row, axis=1)[:, None]
+        gain[:, considered] = 0.0
         x = prior.x - gain[:, :N] * residual[:, None]
-        v = prior.v - gain[:, N] * residual
-    axis = row / lengths_of(row)[:, None]
-    root = root - np.einsum("hik,hk->hi", root, axis)[:, :, None] * axis[:, None, :]
+        v = np.clip(prior.v - gain[:, N] * residual, -farthest, earliest)
+    root = root - gain[:, :, None] * row[:, None, :]
     if len(hit.contacts) > 1:
         root = np.concatenate([root, np.zeros_like(root[:, :, :1])], axis=2)
     return Stamped(x, v, root)
@@ -94,28 +133,74 @@ def _measured(prior: Stamped, contact: int, hit: Hit, flights: Flights) -> Stamp
 def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> Hypotheses:
     """States at the stamp after a jump ``v`` before it."""
     x, v, root = stamped
-    (H, N), d = x.shape, 2 * flights.n
-    tangent, instants = flights.tangent, [hit.t] * H
-    back, forth = tangent.flights(instants, -v, hit.held), tangent.flights(instants, v, hit.held)
-    own = back.of(x[:, :d])
-    jumps = tangent.impact(own, (*hit.held, *hit.contacts))
+    (H, N), d, p, tangent = x.shape, flights.d, flights.p, flights.tangent
+    back = tangent.flights([hit.t] * H, -v, hit.held)
+    forth = tangent.flights([hit.t + -each for each in v.tolist()], v, hit.closed)
+    own, by_constants = flights.images(back, x)
+    y, jump, by_jump = _pressed(own, x[:, d : d + p], hit, flights)
     whole = x.copy()
-    whole[:, :d] = (forth.Phi @ (jumps.x - back.drift)[..., None])[..., 0]
-    by_x = forth.Phi @ jumps.Phi @ back.Phi
-    after = tangent.rates([hit.t], whole[:, :d], hit.held)[0]
+    beside = np.hstack([y, x[:, d:]])
+    whole[:, :d], by = flights.images(forth, beside)
+    by_x = forth.Phi @ jump @ back.Phi
+    S = root[:, :N].copy()
+    S[:, :d] = by_x @ root[:, :d]
+    if p:
+        by = by + forth.Phi @ (jump @ by_constants)
+        by[:, :, :p] += forth.Phi @ by_jump
+        S[:, :d] += by @ root[:, d:N]
+    after = tangent.rates([hit.t], whole[:, :d], hit.closed)[0]
     before = tangent.rates([hit.t], x[:, :d], hit.held)[0]
     by_v = after - (by_x @ before[..., None])[..., 0]
-    S = root[:, :N].copy()
-    S[:, :d] = by_x @ root[:, :d] + by_v[:, :, None] * root[:, N:]
+    S[:, :d] += by_v[:, :, None] * root[:, N:]
     most = flights.numbers.most_kick_error
     error = np.minimum(flights.ladders.errors[rows.r], most)
-    if error.any():
+    if error.any() and not hit.closed:
         kicks = np.zeros((H, N, len(hit.contacts)))
         for k, contact in enumerate(hit.contacts):
             gamma = error * (own @ flights.speed_rows[contact])
             kicks[:, :d, k] = gamma[:, None] * tangent.impulse(contact)
         S = np.concatenate([S, kicks], axis=2)
-    zeros, none = np.zeros_like(rows.B), np.zeros_like(rows.paid)
+    rounding = np.zeros((H, N, d))
+    sizes = np.abs(whole[:, :d]).reshape(H, 2, -1).max(axis=2)
+    rounding[:, range(d), range(d)] = _ROUNDING * np.repeat(sizes, d // 2, axis=1)
+    S = np.concatenate([S, rounding], axis=2)
     return rows._replace(
-        x=whole, S=triangular(S), B=zeros, paid=none, tried=np.zeros_like(rows.tried)
+        x=whole,
+        S=triangular(S),
+        B=np.zeros_like(rows.B),
+        paid=np.zeros_like(rows.paid),
+        sunk=np.zeros_like(rows.sunk),
+        tried=np.zeros_like(rows.tried),
     )
+
+
+def _pressed(own: Array, theta: Array, hit: Hit, flights: Flights) -> tuple[Array, Array, Array]:
+    """States (q, u) after the jump of states ``own``, and its derivatives.
+
+    Returns:
+        Shapes (H, d), (H, d, d) by the states, (H, d, p) by the parameters.
+    """
+    tangent, d, n = flights.tangent, flights.d, flights.d // 2
+    active = tuple(sorted({*hit.held, *hit.contacts}))
+    groups: dict[Contacts, list[int]] = {}
+    if len(active) == 1:
+        groups[active] = [*range(len(own))]
+    else:
+        W = tangent.system.W[:, list(hit.contacts)]
+        for h, gamma in enumerate(own[:, n:] @ W):
+            taking = {*tangent.newton.pressed(active, hit.contacts, gamma)}
+            taking |= {*hit.held} & {*hit.closed}
+            groups.setdefault(tuple(sorted(taking)), []).append(h)
+    y, Phi = np.empty_like(own), np.empty((*own.shape, d))
+    Gamma = np.zeros((*own.shape, flights.p))
+    for pressed, which in groups.items():
+        jumps = tangent.impact(own[which], pressed)
+        if hit.closed:
+            still = tangent.rest(jumps.x, hit.closed)
+            Gamma[which] = still.Phi @ jumps.Gamma + still.Gamma
+            y[which], Phi[which] = still.x, still.Phi @ jumps.Phi
+        else:
+            y[which], Phi[which], Gamma[which] = jumps
+    if flights.p:
+        y += (Gamma @ (theta - flights.constants[: flights.p])[..., None])[..., 0]
+    return y, Phi, Gamma

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bank between two events, at any instant: what is published of it.
 
-The likeliest hypotheses are followed from checkpoint to checkpoint, half a period of the fastest
-rate apart. So an estimate is a function of its instant, whatever was asked for before. From a
-checkpoint to the first dip of a gap their mixture is one Gaussian.
+The likeliest hypotheses are followed from checkpoint to checkpoint. At first these are half a
+period of the fastest rate apart; the distance doubles every 16 checkpoints. So an estimate is a
+function of its instant, whatever was asked for before. From a checkpoint to the first dip of a gap
+their mixture is one Gaussian.
 """
 
+from bisect import bisect_right
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -21,13 +23,17 @@ from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
 _STEPS = 16
-"""Steps of a flight's grid between two checkpoints."""
+"""Steps of a flight's grid between the first checkpoints."""
+_EQUAL = 16
+"""Checkpoints until their distance doubles."""
 
 
 class Checkpoint(NamedTuple):
     """What is published from one checkpoint on.
 
     Attributes:
+        start: s since the event.
+        length: s until the next one.
         rows: the hypotheses.
         x: their mean, shape (N,).
         root: of their covariance, shape (N, N).
@@ -36,6 +42,8 @@ class Checkpoint(NamedTuple):
         held: contacts that all hold closed meanwhile.
     """
 
+    start: float
+    length: float
     rows: Hypotheses
     x: Vector
     root: Matrix
@@ -50,80 +58,114 @@ class Course:
     def __init__(self, filter_: ImpactBank, bank: Bank) -> None:
         """Follow the likeliest hypotheses of ``bank``."""
         self._filter, self._bank = filter_, bank
+        self._flights = filter_.flights(bank.constants)
         order = np.argsort(-bank.rows.logw)
         shares = np.cumsum(bank.rows.weights[order])
         kept = 1 + int(np.searchsorted(shares, 1 - filter_.numbers.unpublished))
-        self._length = _STEPS * filter_.tangent.phase(()).flow.exponential.step / 2
-        self._checkpoints = [self._checkpoint(bank.rows.take(order[:kept]), 0)]
+        first = _STEPS * self._flights.tangent.phase(()).flow.exponential.step / 2
+        self._checkpoints = [self._checkpoint(bank.rows.take(order[:kept]), 0.0, first)]
+        self._starts = [0.0]
         self.estimate = lru_cache(2)(self._estimate)
+        self._rows = lru_cache(2)(self._rows_at)
 
-    def _checkpoint(self, rows: Hypotheses, number: int) -> Checkpoint:
+    def _checkpoint(self, rows: Hypotheses, start: float, length: float) -> Checkpoint:
         filter_ = self._filter
         x, root = mixture(rows, filter_.ladders, filter_.numbers.unpublished)
-        error = float(np.sqrt(rows.weights @ filter_.ladders.errors[rows.r] ** 2))
+        each = filter_.ladders.errors * filter_.ladders.persistence
+        error = float(np.sqrt(rows.weights @ each[rows.r] ** 2))
         held, plain = contacts_of(int(rows.held[0])), 0.0
         if np.all(rows.held == rows.held[0]) and not rows.paid.any():
-            leg = Leg(
-                self._bank.t + number * self._length, self._length, held, self._bank.intensity
-            )
-            dips = filter_.flights.dips(rows, leg, np.zeros(rows.size))
-            plain = self._length if dips is None else float(dips.began[:, 0].min())
-        return Checkpoint(rows, x, root, error, plain, held)
+            leg = Leg(self._bank.t + start, length, held, self._bank.intensity)
+            plain = self._flights.quiet(rows, leg)
+        return Checkpoint(start, length, rows, x, root, error, plain, held)
 
-    def _at(self, s: float) -> tuple[Checkpoint, Elapsed, float]:
-        """The checkpoint before ``s``, its instant, s since the epoch, and how long ago it was."""
-        number = int(s / self._length)
-        filter_ = self._filter
-        while len(self._checkpoints) <= number:
-            rows = self._moved(
-                self._checkpoints[-1].rows, len(self._checkpoints) - 1, self._length
-            )
+    def _at(self, s: float) -> tuple[Checkpoint, Elapsed]:
+        """The checkpoint before ``s``, and its instant, s since the epoch."""
+        last, filter_ = self._checkpoints[-1], self._filter
+        while s >= last.start + last.length and not self._is_lost:
+            rows = self._moved(last, last.length)
             rows = merged(rows, filter_.ladders, filter_.numbers, filter_.scan)
-            self._checkpoints.append(self._checkpoint(rows, len(self._checkpoints)))
-        start = number * self._length
-        return self._checkpoints[number], self._bank.t + start, s - start
+            count = len(self._checkpoints)
+            length = last.length * (1 if count % _EQUAL else 2)
+            last = self._checkpoint(rows, last.start + last.length, length)
+            self._checkpoints.append(last)
+            self._starts.append(last.start)
+        point = self._checkpoints[max(bisect_right(self._starts, s) - 1, 0)]
+        return point, self._bank.t + point.start
 
-    def _moved(self, rows: Hypotheses, number: int, s: float) -> Hypotheses:
+    @property
+    def _is_lost(self) -> bool:
+        """Whether so many impacts were missed that none is looked for any more."""
+        rows = self._checkpoints[-1].rows
+        missed = len(rows.missed[np.argmax(rows.logw)])
+        return missed >= self._filter.numbers.most_silent
+
+    def _rows_at(self, s: float) -> Hypotheses:
+        """What is decided after ``s`` seconds; states may be those of the checkpoint before."""
+        point, _ = self._at(s)
+        ago = s - point.start
+        return self._moved(point, ago) if point.plain < ago <= point.length else point.rows
+
+    def _moved(self, point: Checkpoint, s: float) -> Hypotheses:
         """Hypotheses ``s`` seconds after a checkpoint."""
-        bank, t = self._bank, self._bank.t + number * self._length
-        return self._filter.flights.moved(rows, Leg(t, s, (), bank.intensity))
+        bank, t = self._bank, self._bank.t + point.start
+        most, deaf = self._filter.numbers.most_silent, self._filter.deaf(bank, t)
+        leg = Leg(t, s, (), bank.intensity, deaf=deaf, most=most)
+        return self._flights.moved(point.rows, leg)
 
     def _estimate(self, s: float) -> tuple[Vector, Matrix]:
         """Mean, shape (N,), and root of the covariance, (N, N), after ``s`` seconds."""
-        point, t, ago = self._at(s)
-        filter_, d = self._filter, 2 * self._filter.n
-        if ago > point.plain:
-            rows = self._moved(point.rows, int(s / self._length), ago)
+        point, t = self._at(s)
+        ago = s - point.start
+        filter_, flights, d = self._filter, self._flights, self._filter.d
+        if point.plain < ago <= point.length:
+            rows = self._rows(s)
             return mixture(rows, filter_.ladders, filter_.numbers.unpublished)
         if ago == 0:
             return point.x, point.root
         length = np.array([ago])
-        map_ = filter_.tangent.flights([t], length, point.held)
+        maps = flights.tangent.flights([t], length, point.held)
         x, root = point.x.copy(), point.root.copy()
-        x[:d], root[:d] = map_.of(x[:d])[0], map_.Phi[0] @ root[:d]
+        moved, by = flights.images(maps, point.x[None])
+        x[:d], root[:d] = moved[0], maps.Phi[0] @ root[:d] + by[0] @ root[d:]
         if point.error:
             noise = np.zeros((len(x), d))
-            noise[:d] = filter_.tangent.noise(length, point.held, self._bank.intensity)[0]
+            noise[:d] = flights.tangent.noise(length.clip(0.0), point.held, self._bank.intensity)[
+                0
+            ]
             root = triangular(np.hstack([root, point.error * noise]))
         return x, root
 
     def states(self, s: Vector) -> Matrix:
         """Means after many times of ascending ``s`` seconds, shape (samples, N)."""
-        found, d = np.empty((s.size, self._checkpoints[0].x.size)), 2 * self._filter.n
-        number = (s / self._length).astype(int)
+        found, d = np.empty((s.size, self._checkpoints[0].x.size)), self._filter.d
+        if s.size:
+            self._at(float(s[-1]))
+        number = np.maximum(np.searchsorted(self._starts, s, side="right") - 1, 0)
         for each in np.unique(number).tolist():
             own = np.flatnonzero(number == each)
-            point, t, _ = self._at(float(s[own[0]]))
-            ago = s[own] - each * self._length
+            point, t = self._at(float(s[own[0]]))
+            ago = s[own] - point.start
             plain = ago <= point.plain
-            maps = self._filter.tangent.flights([t] * own.size, ago, point.held)
+            maps = self._flights.tangent.flights([t] * own.size, ago, point.held)
             found[own] = point.x
-            found[own, :d] = maps.of(point.x[:d])
+            found[own, :d] = self._flights.images(maps, found[own])[0]
             for k in own[~plain].tolist():
                 found[k] = self.estimate(float(s[k]))[0]
         return found
 
+    def silent(self, s: float) -> tuple[int, bool]:
+        """Impacts that the likeliest hypothesis predicts since the last event, unreported.
+
+        Returns:
+            How many it has inserted; and whether it is far inside a stop.
+        """
+        rows = self._rows(s)
+        best = int(np.argmax(rows.logw))
+        missed = sum(not each.is_dead for each in rows.missed[best])
+        return missed, bool(rows.sunk[best] < self._filter.numbers.log_inside)
+
     def closed(self, s: float) -> Contacts:
         """Contacts that the likeliest hypothesis holds closed."""
-        rows = self._at(s)[0].rows
+        rows = self._rows(s)
         return contacts_of(int(rows.held[np.argmax(rows.logw)]))

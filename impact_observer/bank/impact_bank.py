@@ -2,10 +2,15 @@
 """The filter: a bank of hypotheses that is predicted to each event and corrected by it."""
 
 import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.bank.balance import balance_of
 from impact_observer.bank.bank import (
     OTHER,
     RESTART,
@@ -15,19 +20,51 @@ from impact_observer.bank.bank import (
     Hypotheses,
     bits,
     contacts_of,
+    objects,
 )
 from impact_observer.bank.branch import Branches, Priors, impacts
 from impact_observer.bank.correct import Hit, corrected
-from impact_observer.bank.ladders import NUMBERS, Ladders, Numbers
+from impact_observer.bank.ladders import NUMBERS, Ladders, Numbers, lengths_of
 from impact_observer.bank.merge import merged, most_of
+from impact_observer.bank.notes import Event, decided
 from impact_observer.bank.predict import Flights, Leg
+from impact_observer.bank.sample_correction import LinearSample, Sampled, sampled
+from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.dynamics.tangent import Tangent
 from impact_observer.events import Contacts
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
+_SHORTEST = 1e-9
+"""Shortest flight between two bounces, s."""
 _SMALL = 1e-12
 """Size of a motion that has none, m or m/s."""
+
+
+class DeclaredErrors(NamedTuple):
+    """What is declared of the sensor and the model.
+
+    Attributes:
+        clock: deviation of a stamp besides its rounding, s; None to weigh several.
+        error: white accelerations, m/s^1.5; None to weigh relative errors of the model.
+        missed: probability that an impact of each contact is not reported, shape (m,).
+        spurious: probability that an event is a false alarm.
+        mislabelled: probability that an event is an impact of another contact.
+        dead_time: after an event, in which the sensor reports no other hit of the contact, s.
+        constants: root of the covariance of the parameters and, where it is estimated, of the
+            delay of the stamps, shape (N - 2n, N - 2n).
+        considered: which of them are not estimated, shape (N - 2n,).
+    """
+
+    clock: float | None = None
+    error: float | None = None
+    missed: Sequence[float] | float = 0.0
+    spurious: float = 0.0
+    mislabelled: float = 0.0
+    dead_time: float = 0.0
+    constants: Matrix = np.zeros((0, 0))
+    considered: Sequence[bool] = ()
 
 
 class ImpactBank:
@@ -35,159 +72,346 @@ class ImpactBank:
 
     def __init__(
         self,
-        tangent: Tangent,
-        *,
-        clock: float | None = None,
-        error: float | None = None,
-        missed: float = 0.0,
-        spurious: float = 0.0,
-        mislabelled: float = 0.0,
+        family: ParametricFamily,
+        declared: DeclaredErrors | None = None,
         numbers: Numbers = NUMBERS,
     ) -> None:
-        """Prepare the filter of one system.
-
-        Args:
-            tangent: flights and jumps of the system.
-            clock: declared deviation of a stamp besides its rounding, s; None to weigh several.
-            error: declared relative error of the model; None to weigh several.
-            missed: probability that an impact is not reported.
-            spurious: probability that an event is a false alarm.
-            mislabelled: probability that an event is an impact of another contact.
-            numbers: the tuned numbers.
-        """
-        self.tangent, self.numbers = tangent, numbers
-        system = tangent.system
-        self.n, self.m = system.n, system.m
-        self.ladders = Ladders.of(clock, error, numbers)
-        exponential = tangent.phase(()).flow.exponential
-        self.rate = max(exponential.rate, 1.0)
-        self.priors = Priors.of(spurious, mislabelled, self.m, self.rate, numbers)
-        log_missed = np.full(self.m, math.log(missed) if missed > 0 else -math.inf)
-        self.forced = self._forced()
-        self._A = exponential.A[self.n : 2 * self.n, : 2 * self.n]
-        self.flights = Flights(tangent, self.ladders, numbers, log_missed)
+        """Prepare the filter of the systems of a ``family``, with tuned ``numbers``."""
+        declared = declared or DeclaredErrors()
+        self.family, self.numbers, self.declared = family, numbers, declared
+        system = family.system
+        self.n, self.m, self.d = system.n, system.m, 2 * system.n
+        self.names = system.contact_names
+        error = declared.error
+        self.ladders = Ladders.of(
+            declared.clock, None if error is None else float(error > 0), numbers
+        )
+        if error is not None:  # impulses are exact
+            self.numbers = numbers = numbers._replace(most_kick_error=0.0)
+        missed = np.broadcast_to(np.asarray(declared.missed, dtype=float), self.m)
+        with np.errstate(divide="ignore"):
+            self.log_missed = np.log(missed)
+        self.nominal = np.zeros(len(declared.constants))
+        self.nominal[: family.size] = family.nominal
+        self._considered = self.d + np.flatnonzero(declared.considered)
+        self._bounds = np.full((2, self.nominal.size), np.array([[-np.inf], [np.inf]]))
+        self._bounds[:, : family.size] = family.bounds
+        self._flights = lru_cache(4)(self._flights_of)
+        first = self.flights(self.nominal)
+        self.rate = first.rate
+        self.priors = Priors.of(
+            declared.spurious, declared.mislabelled, self.m, self.rate, numbers
+        )
+        self._size, self._pushed = self._forced()
+        exponential = first.tangent.phase(()).flow.exponential
+        self._A = exponential.A[self.n : self.d, : self.d]
         self.scan = numbers.scan * self.n
+        missed_none = bool(np.all(self.log_missed == -math.inf))
+        self._is_trusted = missed_none and self.priors.spurious == -math.inf
+
+    def flights(self, constants: Vector) -> Flights:
+        """Flights near these parameters and this delay, shape (N - 2n,)."""
+        return self._flights(tuple(constants.tolist()))
+
+    def _flights_of(self, constants: tuple[float, ...]) -> Flights:
+        given, size = np.array(constants), self.family.size
+        tangent = Tangent(self.family, given[:size])
+        return Flights(tangent, given, self.ladders, self.numbers, self.log_missed)
 
     def begin(self, t: Elapsed, x: Vector, root: Matrix, held: Contacts = ()) -> Bank:
         """The bank at a start: (q, u), shape (2n,), with a root of its covariance, (2n, 2n)."""
+        deviations = lengths_of(root) + _SMALL
+        for row, rest in self._held_rows(held):  # gaps and speeds are zero
+            seen = row @ root
+            square = max(float(seen @ seen), 1e-300)
+            x = x - root @ seen * ((row @ x + rest) / square)
+            root = root - np.outer(root @ seen, seen) / square
         rows = self._begun(x, root, held)
-        return Bank(t, rows, x.copy(), self.forced**2 / 2, self._intensity(self.forced))
+        never = np.full(self.m, -np.inf)
+        size = np.where(self._size > _SMALL, self._size, deviations)
+        return Bank(t, rows, x.copy(), size**2 / 2, self._intensity(size), self.nominal, never)
+
+    def _held_rows(self, held: Contacts) -> list[tuple[Vector, float]]:
+        """Rows of (q, u) and constants whose functions are zero on contacts that rest."""
+        flights = self.flights(self.nominal)
+        found = []
+        for i in held:
+            rest = float(flights.rest[i] + flights.gap_rows[i, self.d :] @ self.nominal)
+            found += [(flights.gap_rows[i, : self.d], rest), (flights.speed_rows[i], 0.0)]
+        return found
 
     def _intensity(self, sizes: Vector) -> tuple[float, ...]:
-        """Of the accelerations of a motion of some size, to a factor of two."""
-        accelerations = np.abs(self._A * sizes).max(axis=1) + _SMALL
+        """Of the accelerations of a motion of some size, to a factor of two, or as declared."""
+        if self.declared.error is not None:
+            return (self.declared.error,) * self.n
+        accelerations = np.maximum(np.abs(self._A * sizes).max(axis=1), self._pushed) + _SMALL
         rounded = 2.0 ** np.round(np.log2(accelerations))
         return tuple((rounded / math.sqrt(self.rate)).tolist())
 
     def _begun(self, x: Vector, root: Matrix, held: Contacts) -> Hypotheses:
         r, c, logw = self.ladders.first(self.numbers)
-        H, N = r.size, x.size
+        H = r.size
+        whole = np.concatenate([x, self.nominal])
         return Hypotheses(
-            np.tile(x, (H, 1)),
-            np.tile(root, (H, 1, 1)),
-            np.zeros((H, N, N)),
+            np.tile(whole, (H, 1)),
+            np.tile(linalg.block_diag(root, self.declared.constants), (H, 1, 1)),
+            np.zeros((H, self.d, self.d)),
             logw,
             r,
             c,
             np.zeros((H, self.scan), dtype=np.intp),
             np.zeros((H, self.m)),
+            np.zeros(H),
             np.full(H, bits(held)),
             np.zeros(H, dtype=np.intp),
             np.zeros(H, dtype=np.intp),
+            objects([()] * H),
+            objects([()] * H),
         )
 
     def predicted(self, bank: Bank, s: float, named: Contacts = ()) -> Bank:
         """The bank ``s`` seconds later, just before an event of the contacts ``named`` if any."""
         if s <= 0:
             return bank
-        rows = self.flights.moved(bank.rows, Leg(bank.t, s, (), bank.intensity, named))
-        middle, replica = self.tangent.flights([bank.t] * 2, np.array([s / 2, s]), ()).of(
+        flights = self.flights(bank.constants)
+        leg = Leg(bank.t, s, (), bank.intensity, named, self.deaf(bank, bank.t))
+        rows = flights.moved(bank.rows, leg)
+        middle, replica = flights.tangent.flights([bank.t] * 2, np.array([s / 2, s]), ()).of(
             bank.replica
         )
         forget = 1 - self.numbers.forgetting
         squares = (1 - forget) * bank.squares + forget * (middle**2 + replica**2) / 2
         squares = np.minimum(squares, 4 * bank.squares)
         intensity = self._intensity(np.sqrt(2 * squares))
-        return Bank(bank.t + s, rows, replica, squares, intensity)
+        return bank._replace(
+            t=bank.t + s, rows=rows, replica=replica, squares=squares, intensity=intensity
+        )
 
-    def hit(self, bank: Bank, contact: int) -> Bank:
-        """The bank after an event that reports an impact of a ``contact`` now."""
+    def deaf(self, bank: Bank, t: float) -> Vector | None:
+        """Until when the sensor reports no impact of each contact, s after ``t``, shape (m,)."""
+        time = self.declared.dead_time
+        return bank.reported + (time - float(t)) if time else None
+
+    def after(self, bank: Bank, event: Event) -> Bank:
+        """The bank after an event now.
+
+        Raises:
+            ImpactLawError: the impact law has no solution on these contacts.
+        """
+        alone = tuple(i for i in event.opened if i not in event.hit)
+        if alone:
+            rows = bank.rows._replace(held=bank.rows.held & ~bits(alone))
+            bank = bank._replace(rows=rows)
+        if not event.hit:
+            return bank
         rows, priors, numbers = bank.rows, self.priors, self.numbers
-        parts = [self._impacts(rows, contact, priors.true)]
-        if priors.other > -math.inf:
-            parts += [self._impacts(rows, i, priors.other) for i in range(self.m) if i != contact]
-        whole = Branches(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+        flights = self.flights(bank.constants)
+        found, kept = [], -np.inf
+        resting = (rows.held & bits(event.hit)) != 0
+        true, free = self._true(rows, event, flights, resting)
         false = rows.logw + priors.spurious + priors.false_rate
-        evidence = float(np.logaddexp.reduce(np.concatenate([whole.logw, false])))
+        ago = max(float(bank.t) - float(np.max(bank.reported[list(event.hit)])), _SHORTEST)
+        density = -math.log(ago) - ago * self.rate  # of the next bounce in a row that ends
+        bounce = np.where(resting, rows.logw + priors.true + density, -np.inf)
+        evidence = float(np.logaddexp.reduce(np.concatenate([true.logw, false, bounce])))
         before = float(np.logaddexp.reduce(rows.logw))
-        best = max(float(whole.logw.max()), float(false.max()))
+        kept = max(float(each.max(initial=-np.inf)) for each in (true.logw, false, bounce))
+        kept += numbers.log_kept
         most = most_of(numbers, rows.x.shape[1])
-        order = np.argsort(-whole.logw)[:most]
-        order = order[whole.logw[order] > best + numbers.log_kept]
-        found = []
+        order = np.argsort(-true.logw)[:most]
+        order = order[true.logw[order] > kept]
         if order.size:
-            found.append(self._corrected(rows, whole.take(order), bank.t, contact))
-        order = np.argsort(-false)[:most]
-        order = order[false[order] > best + numbers.log_kept]
-        if order.size:
-            kept = rows.take(order)
-            past = kept.decided(8 * contact + SPURIOUS)
-            found.append(kept._replace(logw=false[order], past=past))
-        replica = self._bounced(bank.replica, contact)
-        if evidence - before < math.log(self.rate):
-            found.append(self._restarted(replica, bank, contact, evidence))
+            found.append(self._corrected(free, true.take(order), bank.t, event, flights))
+        z = np.full(rows.size, -1.0)
+        z[~resting] = [float(np.min(true.z[true.h == h])) for h in range(free.size)]
+        for logw, kind, sizes in ((false, SPURIOUS, z), (bounce, TRUE, -np.ones(z.size))):
+            order = np.argsort(-logw)[:most]
+            order = order[logw[order] > kept]
+            if order.size:
+                stays = rows.take(order)._replace(logw=logw[order])
+                found.append(decided(stays, (event, bank.t), kind, sizes[order].tolist()))
+        replica = self._bounced(bank.replica, event.hit, flights)
+        farthest = float(z[np.argmax(bank.rows.logw)])
+        is_expected = evidence - before >= math.log(self.rate) or self._trusts(farthest)
+        if not (found and is_expected):
+            weight = before + priors.false_rate + numbers.log_restart
+            found.append(self._restarted(replica, bank, event, weight, flights))
         rows = merged(Hypotheses.joined(found), self.ladders, numbers, self.scan)
-        return bank._replace(rows=rows, replica=replica)
+        rows = rows._replace(held=rows.held & ~bits(event.opened))
+        reported = bank.reported.copy()
+        reported[list(event.hit)] = bank.t
+        doubted = bank.doubted + 1 if self._is_in_error(rows) else 0
+        bank = bank._replace(rows=rows, replica=replica, reported=reported, doubted=doubted)
+        if self._is_trusted and not self._trusts(farthest):
+            bank = bank._replace(contradicted=numbers.remembered, farthest=farthest)
+        elif bank.contradicted:
+            bank = bank._replace(contradicted=bank.contradicted - 1)
+        return self._recentred(bank)
 
-    def _impacts(self, rows: Hypotheses, contact: int, prior: float) -> Branches:
-        found = impacts(rows, contact, self.flights)
-        return found._replace(logw=found.logw + prior)
+    def _trusts(self, z: float) -> bool:
+        """Whether the sensor has no faults, and an innovation of ``z`` deviations is possible."""
+        return self._is_trusted and z <= self.numbers.contradiction
+
+    def measured(
+        self, bank: Bank, sample: LinearSample, *, lost: bool = False
+    ) -> tuple[Bank, Sampled]:
+        """The bank after a sample now; ``lost`` where the last samples were rejected.
+
+        Returns:
+            The bank, and what became of the sample, the likeliest hypothesis first.
+        """
+        flights, rows = self.flights(bank.constants), bank.rows
+        if lost:
+            best = int(np.argmax(rows.logw))
+            root = np.diag(self.numbers.restart_deviation * bank.sizes)
+            begun = self._begun(rows.x[best, : self.d], root, contacts_of(int(rows.held[best])))
+            logw = begun.logw + rows.logw.max() + self.numbers.log_restart
+            notes = objects([rows.notes[best]] * begun.size)
+            rows = Hypotheses.joined([rows, begun._replace(logw=logw, notes=notes)])
+        found = sampled(rows, sample, bank.t, flights, self._considered)
+        order = np.argsort(-found.rows.logw)
+        logw = found.rows.logw[order]
+        order = order[logw > logw[0] + self.numbers.log_kept]
+        found = Sampled(found.rows.take(order), found.innovation[order], found.z[order])
+        rows = found.rows
+        if rows.size > most_of(self.numbers, rows.x.shape[1]):
+            rows = merged(rows, self.ladders, self.numbers, self.scan)
+        rows = rows._replace(logw=rows.logw - np.logaddexp.reduce(rows.logw))
+        return self._recentred(bank._replace(rows=rows)), found
+
+    def balance(
+        self, row: Hypotheses, hit: Hit, least: Vector, constants: Vector, *, inserted: bool
+    ) -> ImpactBalance:
+        """The balance of an impact, of one hypothesis at its stamp; see ``balance_of``.
+
+        An ``inserted`` impact has no stamp, so that its instant has only the prior that the
+        state gives.
+        """
+        flights = self.flights(constants)
+        if inserted:
+            flights = flights.without_stamps()
+        return balance_of(row, hit, flights, self._considered, least)
+
+    def _is_in_error(self, rows: Hypotheses) -> bool:
+        """Whether the model is almost surely in error, which nothing declares."""
+        exact = rows.weights @ (self.ladders.errors[rows.r] < self.numbers.least_error)
+        return bool(self.ladders.errors.size > 1 and exact < self.numbers.exact)
+
+    def _true(
+        self, rows: Hypotheses, event: Event, flights: Flights, resting: NDArray[np.bool_]
+    ) -> tuple[Branches, Hypotheses]:
+        """That contacts have hit, those named or others, of hypotheses where they are open."""
+        free, priors = rows.take(~resting), self.priors
+        if not free.size:
+            none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
+            return Branches(none, none, none, none, nothing, nothing), free
+        parts = [_weighted(impacts(free, event.hit, flights), priors.true)]
+        if priors.other > -math.inf and len(event.hit) == 1 and not event.closed:
+            for i in range(self.m):
+                if i != event.hit[0]:
+                    found = _weighted(impacts(free, (i,), flights), priors.other)
+                    is_held = (free.held[found.h] >> i & 1) != 0
+                    parts.append(found._replace(logw=np.where(is_held, -np.inf, found.logw)))
+        return Branches.joined(parts), free
 
     def _corrected(
-        self, rows: Hypotheses, branches: Branches, t: Elapsed, named: int
+        self, rows: Hypotheses, branches: Branches, t: Elapsed, event: Event, flights: Flights
     ) -> Hypotheses:
         """The hypotheses of ``branches``, after their impacts."""
         chosen = rows.take(branches.h)._replace(r=branches.r, c=branches.c, logw=branches.logw)
-        parts = []
+        parts, named = [], event.hit[0]
         for i in np.unique(branches.contact).tolist():
+            hit = event.hit if i == named else (i,)
             for number in np.unique(chosen.held).tolist():
-                own = (branches.contact == i) & (chosen.held == number)
-                if not own.any():
+                own = np.flatnonzero((branches.contact == i) & (chosen.held == number))
+                if not own.size:
                     continue
-                group, held = chosen.take(own), contacts_of(number)
-                after = corrected(group, Hit(t, (i,), held), self.flights)
-                past = group.decided(8 * i + (TRUE if i == named else OTHER))
-                just = np.full_like(after.just, bits((i,)))
-                parts.append(after._replace(past=past, just=just))
+                held = contacts_of(number)
+                closed = tuple(sorted({*held, *event.closed}))
+                group = chosen.take(own)
+                rows, _ = corrected(group, Hit(t, hit, held, closed), flights, self._considered)
+                just = np.full_like(group.just, bits(hit))
+                rows = rows._replace(just=just, held=np.full_like(group.held, bits(closed)))
+                kind, other = TRUE if i == named else OTHER, (i, self.names[i])
+                rows = decided(rows, (event, t), kind, branches.z[own].tolist(), other)
+                if not event.closed and len(hit) == 1:
+                    rows = flights.settled(rows, i, [t] * rows.size, held, 0.0)
+                parts.append(rows)
         return Hypotheses.joined(parts)
 
-    def _restarted(self, replica: Vector, bank: Bank, contact: int, evidence: float) -> Hypotheses:
-        """Hypotheses about the replica, with deviations as large as the motion."""
+    def _recentred(self, bank: Bank) -> Bank:
+        """The bank with parameters and delay within their bounds, and flights near the best."""
+        size, rows = self.nominal.size, bank.rows
+        if not size:
+            return bank
+        x = rows.x.copy()
+        x[:, self.d :] = np.clip(x[:, self.d :], *self._bounds)
+        best = int(np.argmax(rows.logw))
+        found = x[best, self.d :]
+        deviations = lengths_of(rows.S[best, self.d :])
+        far = np.abs(found - bank.constants) > self.numbers.recentre * deviations
+        far[[i - self.d for i in self._considered]] = False
+        bank = bank._replace(rows=rows._replace(x=x))
+        if not far.any():
+            return bank
+        constants = np.where(far, found, bank.constants)
+        if size == self.family.size or not far[-1]:
+            return bank._replace(constants=constants)
+        return self._shifted(bank, constants)
+
+    def _shifted(self, bank: Bank, constants: Vector) -> Bank:
+        """The bank with another delay, at the same stamp: it holds earlier or later."""
+        flights, s = self.flights(bank.constants), float(bank.constants[-1] - constants[-1])
+        rows, parts, order = bank.rows, [], []
+        for number in np.unique(rows.held).tolist():
+            own = np.flatnonzero(rows.held == number)
+            leg = Leg(bank.t, s, contacts_of(number), bank.intensity)
+            part = flights.flown(rows.take(own), leg, np.zeros(own.size), np.full(own.size, s))
+            parts.append(part)
+            order.append(own)
+        rows = Hypotheses.joined(parts).take(np.argsort(np.concatenate(order)))
+        late = bank.late - s
+        return bank._replace(t=bank.t + s, rows=rows, constants=constants, late=late)
+
+    def _restarted(
+        self, replica: Vector, bank: Bank, event: Event, logw: float, flights: Flights
+    ) -> Hypotheses:
+        """Hypotheses about the replica, ``logw`` together, as uncertain as the motion is large."""
         root = np.diag(self.numbers.restart_deviation * bank.sizes)
-        row = self.flights.gap_rows[contact] @ root
-        axis = row / np.linalg.norm(row)
-        rows = self._begun(replica, root - np.outer(root @ axis, axis), ())
-        past = rows.decided(8 * contact + RESTART)
-        just = np.full_like(rows.just, bits((contact,)))
-        logw = rows.logw + evidence + self.numbers.log_restart
-        return rows._replace(past=past, logw=logw, just=just)
+        for contact in event.hit:
+            row = flights.gap_rows[contact, : self.d] @ root
+            axis = row / max(float(np.linalg.norm(row)), 1e-300)
+            root = root - np.outer(root @ axis, axis)
+        rows, best = self._begun(replica, root, event.closed), int(np.argmax(bank.rows.logw))
+        just = np.full_like(rows.just, bits(event.hit))
+        notes = objects([bank.rows.notes[best]] * rows.size)
+        rows = rows._replace(logw=rows.logw + logw, just=just, notes=notes)
+        return decided(rows, (event, bank.t), RESTART, [-1.0] * rows.size)
 
-    def _bounced(self, x: Vector, contact: int) -> Vector:
+    def _bounced(self, x: Vector, hit: Contacts, flights: Flights) -> Vector:
         """A geometric replica after an impact."""
-        n = self.n
-        q = self.tangent.phases.projection.position_after(x[:n], (contact,))
-        return np.concatenate([q, self.tangent.newton.velocity_after(x[n:], (contact,))])
+        n, tangent = self.n, flights.tangent
+        q = tangent.phases.projection.position_after(x[:n], hit)
+        return np.concatenate([q, tangent.newton.velocity_after(x[n:], hit)])
 
-    def _forced(self) -> Vector:
-        """Size of the motion that the forces give without contacts, and stops, shape (2n,)."""
-        system, n = self.tangent.system, self.n
-        forcing = system.forcing
-        amplitude = np.zeros(2 * n)
+    def _forced(self) -> tuple[Vector, Vector]:
+        """Size of the motion that the forces give without contacts, and of their accelerations.
+
+        Returns:
+            Shapes (2n,) and (n,); zero where nothing holds the bodies.
+        """
+        system, n = self.family.system, self.n
+        forcing, inverse = system.forcing, np.linalg.inv(system.M)
+        amplitude, pushed = np.zeros(2 * n), (inverse @ forcing.constant) ** 2
+        amplitude[:n] += (np.linalg.pinv(system.K, 1e-9, hermitian=True) @ forcing.constant) ** 2
         soft = system.K + 1e-6 * np.trace(system.K) / n * np.eye(n) + _SMALL * system.M
-        if forcing.constant.any():
-            amplitude[:n] += linalg.solve(soft, forcing.constant) ** 2
         for w, cos, sin in zip(forcing.frequency, forcing.cosine, forcing.sine, strict=True):
             dynamic = soft - w**2 * system.M + 1j * w * system.C
             q = np.abs(linalg.solve(dynamic, cos - 1j * sin))
             amplitude += np.concatenate([q, w * q]) ** 2
-        return np.asarray(np.sqrt(amplitude)) + _SMALL
+            pushed += np.abs(inverse @ (cos - 1j * sin)) ** 2
+        return np.sqrt(amplitude), np.sqrt(pushed)
+
+
+def _weighted(branches: Branches, log: float) -> Branches:
+    return branches._replace(logw=branches.logw + log)

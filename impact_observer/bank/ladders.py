@@ -32,7 +32,7 @@ class Numbers(NamedTuple):
         log_leading: how likely a hypothesis is that changes its rungs, beside the likeliest.
         most_kick_error: the largest relative error of an impulse.
         false_rate: of a contact that only gives false alarms, over the fastest rate.
-        log_restart: of a restart, where an event was not expected.
+        log_restart: of a restart beside false alarms, where an event was not expected.
         restart_deviation: at a restart, over the size of the motion.
         shallow: dips that are not deeper, in deviations, are no missed impacts.
         confident: the depth from which on an impact must have been missed, in deviations.
@@ -45,6 +45,15 @@ class Numbers(NamedTuple):
         near: deviations up to which two states count as the same.
         forgetting: weight of the earlier motion in its size, at each event.
         unpublished: probability of the least likely hypotheses that are not published.
+        brief: flights after a missed impact that are rest, over the inverse of the fastest rate.
+        persistence: of published deviations, where the model is in error.
+        least_error: the relative error of a model from which on users are warned.
+        exact: probability of a smaller one below which they are.
+        log_inside: of a dip that lasts, below which the sensor may be dead.
+        contradiction: the innovation that the declared errors exclude, in standard deviations.
+        remembered: events for which a contradiction is told.
+        most_silent: missed impacts in a row after which no others are looked for.
+        recentre: deviations by which an estimated parameter leaves that of the flights.
     """
 
     errors: tuple[float, ...] = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
@@ -69,6 +78,15 @@ class Numbers(NamedTuple):
     near: float = 3.0
     forgetting: float = 0.95
     unpublished: float = 1e-3
+    brief: float = 1e-2
+    persistence: float = 3.0
+    recentre: float = 0.5
+    least_error: float = 1e-4
+    exact: float = 0.01
+    log_inside: float = -18.0
+    contradiction: float = 6.0
+    remembered: int = 32
+    most_silent: int = 32
 
 
 NUMBERS = Numbers()
@@ -84,12 +102,14 @@ class Ladders(NamedTuple):
         clocks: standard deviation of a stamp, s, shape (C,).
         moves: changes of both rungs at an event, shape (K, 2), and their log priors, (K,).
         log_moves: see ``moves``.
+        persistence: factor of published deviations, shape (R,).
     """
 
     errors: Vector
     clocks: Vector
     moves: NDArray[np.intp]
     log_moves: Vector
+    persistence: Vector
 
     @classmethod
     def of(cls, clock: float | None, error: float | None, numbers: Numbers) -> "Ladders":
@@ -105,7 +125,10 @@ class Ladders(NamedTuple):
         far = numbers.farthest
         by = [range(-far, far + 1) if each.size > 1 else range(1) for each in (errors, clocks)]
         moves = np.array([(i, j) for i in by[0] for j in by[1]])
-        return cls(errors, clocks, moves, numbers.log_move * np.count_nonzero(moves, axis=1))
+        persistence = np.ones(errors.size)
+        persistence[(errors > 0) & (error is None)] = numbers.persistence
+        log_moves = numbers.log_move * np.count_nonzero(moves, axis=1)
+        return cls(errors, clocks, moves, log_moves, persistence)
 
     def first(self, numbers: Numbers) -> tuple[Rungs, Rungs, Vector]:
         """Rungs of both ladders at a start, and the logarithms of their probabilities."""

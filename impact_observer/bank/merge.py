@@ -48,7 +48,7 @@ def merged(rows: Hypotheses, ladders: Ladders, numbers: Numbers, scan: int) -> H
             result.x[place] = mean
             result.S[place] = triangular(S.transpose(1, 0, 2).reshape(len(mean), -1))
             if rows.B[group].any():
-                B = (rows.B[group] * scale).transpose(1, 0, 2).reshape(len(mean), -1)
+                B = (rows.B[group] * scale).transpose(1, 0, 2).reshape(rows.B.shape[1], -1)
                 result.B[place] = triangular(B)
     best = np.argsort(-result.logw)[: most_of(numbers, rows.x.shape[1])]
     result = result.take(best)

@@ -53,16 +53,12 @@ class TracedLaw(MinimumVariance):
         traces: by stamp and sequence number of the event.
     """
 
-    tries_steps = False
     traces: dict[tuple[int, int], _Trace]
 
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """As the law does."""
         posterior = super().correct(change, belief)
-        trace = _Trace(change, (), self.clocks[0])
-        if posterior.hypotheses:
-            best = posterior.hypotheses[0]
-            trace = _Trace(change, best.ledger.notes, best.clock)
+        trace = _Trace(change, posterior.notes, posterior.clock_deviation)
         self.traces[change.stamp, change.sequence] = trace
         return posterior
 

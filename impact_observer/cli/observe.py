@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 _COMPONENTS = 12
 """Most positions and velocities in the table of deviations."""
-_SOURCES, _SMALL_SHARE = 3, 0.05
-"""Most sources of a deviation that are printed, and the least share of its variance."""
 _DOUBTED, _FEW = 0.25, 5
 """Share of the events, and least number of them, whose rejection makes the model doubtful."""
 _SURE = 10.0
@@ -100,18 +98,15 @@ def in_words(rulings: "Mapping[Ruling, int]") -> str:
 
 
 def components(observer: "Observer") -> "TextTable":
-    """The deviation of each component in the last flights, and its largest sources."""
-    from impact_observer.draw.reports import TextTable, figure, listed
+    """The deviation of each component in the last flights."""
+    from impact_observer.draw.reports import TextTable, figure
 
     rows = []
-    if (found := observer.deviation_sources()) is not None:
-        names = zip(observer.system.state_names, observer.system.state_units, strict=True)
-        for i, (name, unit) in enumerate(islice(names, _COMPONENTS)):
-            shares = sorted(((share[i], of) for of, share in found.shares.items()), reverse=True)
-            large = [f"{part:.0%} {of}" for part, of in shares[:_SOURCES] if part > _SMALL_SHARE]
-            rows.append([name, figure(float(found.deviations[i]), unit), listed(large)])
-    headings = ("component", "deviation in the last flights", "from")
-    return TextTable(headings, rows, words=headings)
+    if (found := observer.last_deviations()) is not None:
+        system = observer.system
+        each = zip(system.state_names, system.state_units, found.tolist(), strict=True)
+        rows = [[name, figure(size, unit)] for name, unit, size in islice(each, _COMPONENTS)]
+    return TextTable(("component", "deviation in the last flights"), rows, words=("component",))
 
 
 def parameters(model: "Model", observer: "Observer") -> "TextTable":

@@ -111,6 +111,13 @@ class DeclaredSensor:
         self._n = n
 
     @property
+    def function(self) -> tuple[Vector, Vector, Vector, float, int]:
+        """Factors of position, velocity and acceleration, offset, and contact, -1 for none."""
+        contact = -1 if self._contact is None else self._contact
+        offset = self.measurement.offset
+        return self._p, self._v, self._a, offset, contact
+
+    @property
     def name(self) -> str:
         """Of the sensor."""
         return self.measurement.name

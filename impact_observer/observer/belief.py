@@ -17,6 +17,7 @@ from impact_observer.filter.branching import Extent
 from impact_observer.filter.clock_steps import SensorClock
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.hypotheses import Hypothesis, published
+from impact_observer.filter.ledger import Note
 from impact_observer.filter.misfit import Fit
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
@@ -153,6 +154,8 @@ class Belief(NamedTuple):
         onset: the state before an impact that has an uncertain instant; the other states are those
             after the jump.
         bank: the hypotheses of a law that has them as arrays; ``behind`` this belief.
+        noted: decisions on the latest events, of a law with a ``bank``.
+        clock_deviation: of a stamp, s, of a law with a ``bank``.
         unmeasured: how long ago each coordinate was measured, shape (n,), s, infinite before the
             first time; None for a law that does not use it.
     """
@@ -175,6 +178,18 @@ class Belief(NamedTuple):
     onset: Onset | None = None
     unmeasured: Vector | None = None
     bank: Bank | None = None
+    noted: tuple[Note, ...] = ()
+    clock_deviation: float = 0.0
+
+    @property
+    def weighs(self) -> bool:
+        """Whether its law weighs what each event was."""
+        return bool(self.hypotheses) or self.bank is not None
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What the likeliest hypothesis decides on the latest events."""
+        return self.hypotheses[0].ledger.notes if self.hypotheses else self.noted
 
     @property
     def x(self) -> Vector:

@@ -65,6 +65,7 @@ def make_observer(
         system, known = linear, Uncertainty(unknowns=unknowns, undeclared=undeclared)
     known = replace(known, shift=model.shift)
     encoders = encoder_start(options, system, measurements)
+    law = law.for_kind(type(system))
     return Observer(
         system,
         law(cast(System, system), declared_by(options, system, known, encoders)),

@@ -4,7 +4,7 @@
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -28,7 +28,6 @@ from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.model.multibody import is_multibody
-from impact_observer.observer.deviation_sources import DeviationSources
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.laws.law import Law
@@ -498,7 +497,7 @@ class Observer:
     ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
         """Note events that were ``received`` and inserted; return their verdicts and others."""
         for _, insertion in received:
-            if insertion.entry.belief.fit.is_misfit:
+            if insertion.entry.belief.misfit:
                 self.remarks[Remark.MISFIT] += 1
         owns, others = run.verdicts([(each.verdicts, made) for each, made in received])
         if self.live is not None and run.timeline is not None:
@@ -542,18 +541,19 @@ class Observer:
         self._follow()
         return self._run.silence(stamp)
 
-    def deviation_sources(self) -> DeviationSources | None:
-        """What the deviations come from in the last flights, at most ``MOST_FLIGHTS``.
+    def last_deviations(self) -> Vector | None:
+        """Deviations of (q, u) in the last flights, at most ``MOST_FLIGHTS``, shape (2n,).
 
-        None before two events, or for a law that has no hypotheses.
+        Root mean squares of those in the middle of each flight. None before two events, or for a
+        law that has no covariance.
         """
         self._follow()
         entries = self.timeline.entries[-MOST_FLIGHTS - 1 :] if self.timeline else []
         pairs = [(a.since, b.since) for a, b in pairwise(entries) if a.since < b.since]
-        parts = [self._run.variance_parts((a + b) // 2) for a, b in pairs]
-        if not any(parts):
+        if not (pairs and self.law.has_covariance):
             return None
-        return DeviationSources.of_parts(len(parts), chain.from_iterable(parts))
+        found = [np.diag(self._run.estimate((a + b) // 2).covariance) for a, b in pairs]
+        return np.asarray(np.sqrt(np.mean(found, axis=0)))
 
     def obstacle(self, stamp: int) -> str:
         """Why the estimate at ``stamp`` (ns) is not synchronized; empty where it is.

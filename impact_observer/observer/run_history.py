@@ -26,13 +26,11 @@ from impact_observer.filter.clock_steps import SensorClock
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.readings import DeclaredSensor, Reading, SampleOutcome
 from impact_observer.observer.belief import Belief, Prediction
-from impact_observer.observer.deviation_sources import VariancePart, variance_parts
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
 from impact_observer.observer.impact_sides import ImpactSides, Near
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
@@ -333,16 +331,6 @@ class RunHistory:
         tested = self._tested(entry, s, root)
         return self.test.is_synchronized(entry.synchronization, tested)
 
-    def variance_parts(self, stamp: int) -> list[VariancePart]:
-        """The parts of the variances at ``stamp`` (ns); none for a law without hypotheses."""
-        entry, law = self._entry(stamp), self.law
-        s = seconds_between(entry.since, stamp)
-        belief = self.prediction(entry).belief(s)
-        if not (isinstance(law, MinimumVariance) and belief.hypotheses):
-            return []
-        sizes = self._scales.sizes(belief.x, s)
-        return variance_parts(law, belief, self.estimate(stamp).covariance, sizes)
-
     def _entry(self, stamp: int) -> Entry:
         """The last entry up to ``stamp`` (ns).
 
@@ -367,12 +355,12 @@ class RunHistory:
         if law.has_covariance:
             after = max(seconds_between(entry.since, stamp), 0.0)
             prediction = self.prediction(entry)
+            if prediction.silence(after):
+                return "predicted impacts are not reported"
             own = prediction.root(after)
             if own is not None and (doubt := law.doubt(entry.belief, own)) is not None:
                 return doubt
             root = self._tested(entry, after, prediction.root(after))
-            if prediction.silence(after):
-                return "predicted impacts are not reported"
         return fit.doubt or self.test.obstacle(entry.synchronization, root) or fit.untested
 
     def silence(self, stamp: int) -> str:
@@ -391,7 +379,7 @@ class RunHistory:
     ) -> Matrix:
         """``root``; near an uncertain impact with the errors of ``x`` on the other side."""
         belief, closed = entry.belief, entry.closed if closed is None else closed
-        clock = belief.hypotheses[0].clock if belief.hypotheses else 0.0
+        clock = belief.hypotheses[0].clock if belief.hypotheses else belief.clock_deviation
         near = Near(clock, belief.onset, belief.x, self._start_of(entry) + s)
         errors = self._sides.errors(near, x, root, s, closed)
         return np.column_stack([root, *errors]) if errors else root

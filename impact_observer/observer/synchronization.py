@@ -75,10 +75,10 @@ def _contradicted(
     before: Mapping[int, tuple[int, int]], change: ContactChange, posterior: Belief
 ) -> Mapping[int, tuple[int, int]]:
     """``Synchronization.contradicted`` after an event, of a law that rejects and inserts."""
-    if not posterior.hypotheses:
+    if not posterior.weighs:
         return before
     counts, event = dict(before), (change.stamp, change.sequence)
-    notes = posterior.hypotheses[0].ledger.notes
+    notes = posterior.notes
     latest = takewhile(lambda note: note.event == event, reversed(notes))
     for note in [*latest][::-1]:
         if note.ruling is Ruling.APPLIED:
@@ -92,9 +92,8 @@ def _contradicted(
 
 def _is_rejected(change: ContactChange, posterior: Belief) -> bool:
     """Whether the likeliest account of an event is that no contact switched."""
-    if not posterior.hypotheses:
-        return False
-    notes = posterior.hypotheses[0].ledger.notes_on((change.stamp, change.sequence))
+    event = change.stamp, change.sequence
+    notes = [n for n in posterior.notes if n.event == event and not n.is_inserted]
     return bool(notes) and all(note.ruling is Ruling.REJECTED for note in notes)
 
 

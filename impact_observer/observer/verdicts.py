@@ -46,7 +46,7 @@ class IssuedVerdicts:
         """
         notes: dict[Subject, Note] = {}
         others: tuple[Verdict, ...] = ()
-        if received[0][1].entry.belief.hypotheses:
+        if received[0][1].entry.belief.weighs:
             owns = {insertion.entry.event for _, insertion in received}
             notes, others = self._revised(received[0][1], start, owns)
         return [self._completed(*each, notes) for each in received], others
@@ -153,8 +153,7 @@ def _event(sequence: int) -> str:
 
 
 def _notes(entry: Entry) -> tuple[Note, ...]:
-    hypotheses = entry.belief.hypotheses
-    return hypotheses[0].ledger.notes if hypotheses else ()
+    return entry.belief.notes
 
 
 def _added(before: tuple[Note, ...], now: tuple[Note, ...]) -> tuple[Note, ...]:

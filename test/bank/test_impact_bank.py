@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from impact_observer.bank.bank import MISSED, SPURIOUS, Bank, mixture
-from impact_observer.bank.impact_bank import ImpactBank
+from impact_observer.bank.impact_bank import DeclaredErrors, ImpactBank
+from impact_observer.bank.notes import Event
 from impact_observer.dynamics.tangent import Tangent
 from impact_observer.model import read_model
 from impact_observer.model.parametric_family import ParametricFamily
@@ -18,11 +19,11 @@ from impact_observer.states import Vector
 
 EPOCH = 10**9
 SECONDS = 60.0
-Event = tuple[int, int]
+Hit = tuple[int, int]
 """ns since the epoch, and the contact."""
 
 
-def plant(name: str) -> tuple[Tangent, list[Event], NDArray[np.float64], Vector]:
+def plant(name: str) -> tuple[Tangent, list[Hit], NDArray[np.float64], Vector]:
     """A sample model: its tangent, its impacts, its states at 100 Hz, its start."""
     model = read_model(name)
     q, u = model.initial_state()
@@ -33,12 +34,12 @@ def plant(name: str) -> tuple[Tangent, list[Event], NDArray[np.float64], Vector]
     return tangent, events, run.states, np.concatenate([q, u])
 
 
-def filtered(filter_: ImpactBank, events: Sequence[Event], start: Vector, end: float) -> Bank:
+def filtered(filter_: ImpactBank, events: Sequence[Hit], start: Vector, end: float) -> Bank:
     """The bank at ``end`` s since the epoch, from a start with deviations of one."""
     bank, before = filter_.begin(Elapsed(0), start, np.eye(start.size)), 0
     for stamp, contact in events:
         bank = filter_.predicted(bank, (stamp - before) / 1e9, (contact,))
-        bank = filter_.hit(bank._replace(t=Elapsed(stamp)), contact)
+        bank = filter_.after(bank._replace(t=Elapsed(stamp)), Event((contact,)))
         before = stamp
     return filter_.predicted(bank, end - before / 1e9)
 
@@ -51,7 +52,7 @@ def best(bank: Bank) -> Vector:
 def test_a_far_start_is_forgotten_and_the_model_is_found_to_be_exact() -> None:
     """Exact stamps of an exact model give the state to nine digits, on the lowest rungs."""
     tangent, events, states, start = plant("two_mass")
-    filter_ = ImpactBank(tangent, missed=0.05, spurious=0.05)
+    filter_ = ImpactBank(tangent.family, DeclaredErrors(missed=0.05, spurious=0.05))
     far = start + np.random.default_rng(0).normal(size=4)
     bank = filtered(filter_, events, far, 59.99)
     assert np.max(np.abs(best(bank) - states[5999])) < 1e-9
@@ -65,7 +66,7 @@ def test_missed_and_false_impacts_are_recognised(seed: int) -> None:
     rng = np.random.default_rng(seed)
     kept = [each for each in events if rng.random() > 0.2]
     false = [(int(t * 1e9), 0) for t in rng.uniform(25, 40, 3)]
-    filter_ = ImpactBank(tangent, missed=0.1, spurious=0.1)
+    filter_ = ImpactBank(tangent.family, DeclaredErrors(missed=0.1, spurious=0.1))
     bank = filtered(filter_, sorted([*kept, *false]), start + rng.normal(size=4), 59.99)
     assert np.max(np.abs(best(bank) - states[5999])) < 1e-7
 
@@ -73,13 +74,15 @@ def test_missed_and_false_impacts_are_recognised(seed: int) -> None:
 def test_decisions_name_the_missed_impact_and_the_false_alarm() -> None:
     """From a known state one impact is left out and one is invented."""
     tangent, events, _, start = plant("two_mass")
-    filter_ = ImpactBank(tangent, clock=0.0, error=0.0, missed=0.1, spurious=0.1)
+    filter_ = ImpactBank(
+        tangent.family, DeclaredErrors(clock=0.0, error=0.0, missed=0.1, spurious=0.1)
+    )
     given = [events[0], (events[0][0] + 300_000_000, 0), *events[2:4]]
     bank = filter_.begin(Elapsed(0), start, 1e-6 * np.eye(4))
     before = 0
     for stamp, contact in given:
         bank = filter_.predicted(bank, (stamp - before) / 1e9, (contact,))
-        bank = filter_.hit(bank._replace(t=Elapsed(stamp)), contact)
+        bank = filter_.after(bank._replace(t=Elapsed(stamp)), Event((contact,)))
         before = stamp
     past = bank.rows.past[np.argmax(bank.rows.logw)] % 8
     assert past.tolist()[-5:] == [1, SPURIOUS, MISSED, 1, 1]
@@ -89,7 +92,7 @@ def test_decisions_name_the_missed_impact_and_the_false_alarm() -> None:
 def test_covariances_are_those_of_errors_over_draws_of_jittered_stamps(model: str) -> None:
     """Of an exact model with the declared jitter of 1 ms: NEES / 2n between 0.7 and 1.3."""
     tangent, events, states, start = plant(model)
-    filter_, found = ImpactBank(tangent, clock=1e-3, error=0.0), []
+    filter_, found = ImpactBank(tangent.family, DeclaredErrors(clock=1e-3, error=0.0)), []
     for seed in range(24):
         rng = np.random.default_rng(seed)
         given = sorted((t + int(1e6 * rng.normal()), i) for t, i in events)
@@ -103,7 +106,7 @@ def test_covariances_are_those_of_errors_over_draws_of_jittered_stamps(model: st
 def test_an_impact_corrects_as_dense_conditioning_on_state_and_stamp_does() -> None:
     """Mean and covariance of the linear problem, by differences of an exact jump."""
     tangent, *_ = plant("two_mass")
-    filter_ = ImpactBank(tangent, clock=1e-5, error=0.0)
+    filter_ = ImpactBank(tangent.family, DeclaredErrors(clock=1e-5, error=0.0))
     t, x = 3.0, np.array([0.1, 0.5, 0.3, 1.1])
     rng = np.random.default_rng(5)
     S = 1e-6 * rng.normal(size=(4, 4))
@@ -129,7 +132,7 @@ def test_an_impact_corrects_as_dense_conditioning_on_state_and_stamp_does() -> N
     K = P @ H / (H @ P @ H)
     expected = J @ (P - np.outer(K, H @ P)) @ J.T
     bank = filter_.begin(Elapsed(3 * 10**9), x, S)
-    found = filter_.hit(bank, 0).rows
+    found = filter_.after(bank, Event((0,))).rows
     hit = np.flatnonzero(found.past[:, -1] % 8 == 1)[0]
     assert found.x[hit] == pytest.approx(after(z - K * gap(z)), abs=1e-11)
     size = np.sqrt(np.diag(expected))

@@ -78,14 +78,14 @@ def test_laws_without_a_covariance_tell_the_speeds_of_their_replica(law: str) ->
 
 
 def test_deviations_hold_the_errors_where_stamps_jitter() -> None:
-    """Of five starts, from the fourth impact on, with the clock's error declared."""
+    """Of five starts, from the fourth impact on, with the errors of clock and model declared."""
     model, sensor, ratios = sample("two_mass"), SensorModel(jitter=1e-3), list[float]()
     for seed in range(5):
         x = np.random.default_rng(seed).normal(0, [0.1, 0.1, 0.3, 0.3])
         plant = run(model.system, *np.split(x, 2), seconds=20, rate=1)
         truth = [*true_impacts(model.system, plant.switchings).values()]
         events = reported(model.system, plant, seed, sensor)
-        found, _ = noted(model, events, clock_error=1e-3)
+        found, _ = noted(model, events, clock_error=1e-3, model_error=0.0)
         values, deviations = numbers(found.values())
         ratios += ((values - truth) / deviations)[3:].ravel().tolist()
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.2

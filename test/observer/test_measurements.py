@@ -26,11 +26,9 @@ from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, law_named
-from impact_observer.observer.laws.law import Law
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Estimate
 
 Array = NDArray[np.float64]
 LAW = "minimum-variance"
@@ -430,49 +428,6 @@ def test_a_new_episode_uses_the_samples_that_follow_it() -> None:
     fed(fresh, [replace(e, episode=0) for e in again[:2]], moved[:60])
     stamp = max(again[1].stamp, moved[59].stamp) + 1
     np.testing.assert_array_equal(x_of(observer, stamp), x_of(fresh, stamp))
-
-
-@pytest.mark.parametrize(
-    "declared",
-    [
-        EXACT_STAMPS,
-        Uncertainty(deviation=0.3, clock_error=1e-3),
-        pytest.param(Uncertainty(deviation=0.3), marks=pytest.mark.slow),
-    ],
-)
-def test_one_call_of_the_kernel_is_prediction_and_correction(
-    declared: Uncertainty, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Equal estimates and verdicts, with a missed impact, and outliers."""
-    model, whole = truth("three_mass", 3.0)
-    sensors = [encoder(), encoder("x2"), encoder("x3")]
-    samples = measured(whole, np.eye(6)[:3], 1e-3)
-    spoilt = [s._replace(value=s.value + 0.2 * (i % 50 == 30)) for i, s in enumerate(samples)]
-    start = whole.states[0] + 0.1
-    found: list[tuple[Estimate, Sequence[MeasurementVerdict], int]] = []
-    for follows in (True, False):
-        observer = watcher(model, LAW, start, sensors, uncertainty=declared)
-        if not follows:
-            monkeypatch.setattr(type(observer.law), "followed", Law.followed)
-        calls: list[object] = []
-        monkeypatch.setattr(observer.law, "measure", _counted(observer.law.measure, calls))
-        events = [*whole.events[:0:-1]]
-        for each in spoilt:
-            while events and events[-1].stamp <= each.stamp:
-                observer.receive(events.pop())
-            observer.measure([each])
-        estimate = observer.estimate(at(3.0))
-        found.append((estimate, observer.samples.take(), len(calls)))
-    (one, verdicts, few), (other, others, many) = found
-    assert many >= len(samples)
-    assert few < 0.5 * many
-    np.testing.assert_allclose(one.q, other.q, atol=1e-10)
-    np.testing.assert_allclose(one.u, other.u, atol=1e-9)
-    np.testing.assert_allclose(one.covariance, other.covariance, atol=1e-9)
-    assert [(v.accepted, v.name) for v in verdicts] == [(v.accepted, v.name) for v in others]
-    for a, b in zip(verdicts, others, strict=True):
-        assert a.innovation == pytest.approx(b.innovation, abs=1e-8)
-        assert a.normalized == pytest.approx(b.normalized, abs=1e-5)
 
 
 def _counted(function: Callable[..., object], calls: list[object]) -> Callable[..., object]:

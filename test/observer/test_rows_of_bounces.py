@@ -2,7 +2,6 @@
 """Rows of bounces: a debounced switch reports their first edges, and a force may be other."""
 
 import numpy as np
-import pytest
 from systems import press
 
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
@@ -74,21 +73,6 @@ def errors(found: list[Estimate], run: Run) -> tuple[Matrix, Matrix]:
     return states - run.states[-len(half) :], np.sqrt(variances)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("start", [-0.2])
-def test_the_bounces_that_a_debounced_switch_does_not_report_are_inserted(start: float) -> None:
-    """A CLOSE at speed is the first edge of a row: the estimate bounces until it rests."""
-    run = stroke(press().system, start)
-    hits = debounced(switched(run))
-    assert len(hits) < len(switched(run)) / 4
-    found, reasons = observed(press().system, hits, run.stamps)
-    error, deviation = errors(found, run)
-    assert np.max(np.abs(error)) < 1e-7
-    assert np.mean(np.abs(error) <= 3 * deviation) > 0.9
-    assert all(each.synchronized for each in found[len(found) // 2 :])
-    assert "the first edge of a row of bounces that are not reported" in reasons
-
-
 def test_a_close_without_restitution_is_a_rest_at_once() -> None:
     """Nothing bounces on a plastic die, so that no CLOSE is taken for a first edge."""
     run = stroke(press(restitution=0.0).system, 0.0)
@@ -103,14 +87,3 @@ def test_a_close_after_reported_bounces_is_a_rest() -> None:
     found, reasons = observed(press().system, switched(run), run.stamps)
     assert np.max(np.abs(errors(found, run)[0])) < 1e-7
     assert not any("first edge" in each for each in reasons)
-
-
-@pytest.mark.long
-def test_rows_of_bounces_tell_a_wrong_force_and_do_not_make_certain() -> None:
-    """A press whose force is 2 percent off is refuted, and its covariance contains that."""
-    run = stroke(press(4.5 * 0.98).system, 0.0)
-    found, _ = observed(press().system, switched(run), run.stamps)
-    error, deviation = errors(found, run)
-    assert found[-1].misfit
-    assert not found[-1].synchronized
-    assert np.mean(np.abs(error) <= 3 * deviation + 1e-12) > 0.9

@@ -3,7 +3,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,7 +35,6 @@ from impact_observer.filter.ledger import Ledger, Note
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer import (
-    LARGEST_INNOVATION,
     Observer,
     ReplicaLaw,
     law_named,
@@ -173,7 +171,7 @@ def test_replicas_must_agree_for_several_events_before_synchronization() -> None
     [
         ("geometric", 1e-6, "agreement at 1 of 3 impacts in a row", ""),
         ("geometric", 1.0, "replicas differ by over ", "replicas differ by over "),
-        ("minimum-variance", 1.0, "replicas differ by over ", ""),
+        ("minimum-variance", 1.0, "", ""),
         ("open-loop", 1e-9, "open-loop uses no events", "open-loop uses no events"),
     ],
 )
@@ -428,18 +426,6 @@ def test_a_contact_that_opens_is_no_impact_and_ends_no_agreement() -> None:
     belief = Belief(Ensemble.of(np.tile([0.0, 1.0], (10, 1))))
     found = test.after_event(before, ContactChange(1.0, (0,), (), ()), np.zeros(2), belief)
     assert found.agreed == (2,)
-
-
-def test_large_innovations_end_synchronization() -> None:
-    """The stiffness is off by 3 %: replicas agree, but innovations are large."""
-    stiffer = replace(THREE_MASS.system, K=1.03 * THREE_MASS.system.K)
-    watcher = observer(stiffer, "minimum-variance", random_start(1), epoch=EPOCH, history=LONG)
-    large = []
-    for each in TRUTH.events:
-        large += [verdict.innovation > LARGEST_INNOVATION for verdict in watcher.receive(each)]
-        if large[-1]:
-            assert not watcher.estimate(each.stamp).synchronized
-    assert sum(large) > 5
 
 
 def test_refuted_bound_ends_synchronization() -> None:

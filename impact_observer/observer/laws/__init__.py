@@ -11,7 +11,6 @@ from importlib.metadata import entry_points
 from impact_observer.errors import UsageError
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
-from impact_observer.observer.laws.ladder_variance import LadderVariance
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.measured_position import MeasuredPosition
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
@@ -43,8 +42,6 @@ BUILT_IN: dict[str, type[Law]] = {
 """Laws of linear systems."""
 FOR_ROBOTS: dict[str, type[Law]] = {MeasuredPosition.name: MeasuredPosition}
 """Laws that take robots and no linear systems."""
-BESIDE: dict[str, type[Law]] = {LadderVariance.name: LadderVariance}
-"""Laws that are measured beside those that users know, and not listed."""
 OWN_LAWS = ChainMap(FOR_ROBOTS, BUILT_IN)  # whose order is that of the last first
 """All laws of this package, those of linear systems first."""
 
@@ -61,8 +58,6 @@ def law_named(name: str) -> type[Law]:
     Raises:
         UsageError: the law is not installed, or its entry point cannot be imported or is no law.
     """
-    if name in BESIDE:
-        return BESIDE[name]
     if name in OWN_LAWS:
         return OWN_LAWS[name]
     for entry in entry_points(group=ENTRY_POINTS, name=name):

@@ -80,6 +80,12 @@ class Law(ABC):
             " law, such as minimum-variance"
         )
 
+    @classmethod
+    def for_kind(cls, kind: type[System | Robot]) -> "type[Law]":
+        """The law of this name for systems of a ``kind``."""
+        del kind
+        return cls
+
     def near(self, x: Vector) -> System:
         """The system at a state ``x``, shape (2n,): a linear one is the same at all states."""
         del x

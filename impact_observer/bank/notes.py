@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Notes on events: what each hypothesis decides, in words."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.bank.bank import (
+    MISSED,
+    OTHER,
+    RESTART,
+    SPURIOUS,
+    TRUE,
+    Hypotheses,
+    Missed,
+    objects,
+)
+from impact_observer.events import MISLABELLED, Contacts, Kind, Ruling
+from impact_observer.filter.ledger import Note
+from impact_observer.stamps import Elapsed
+
+_KEPT = 64
+"""Notes of each hypothesis that are kept."""
+
+
+class Event(NamedTuple):
+    """What a sensor reports at one instant.
+
+    Attributes:
+        hit: contacts that hit.
+        closed: those of them that stay closed.
+        opened: contacts that open; those that hit have been open before, unreported.
+        stamp: ns.
+        sequence: number of the event.
+    """
+
+    hit: Contacts
+    closed: Contacts = ()
+    opened: Contacts = ()
+    stamp: int = 0
+    sequence: int = 0
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Stamp and sequence."""
+        return self.stamp, self.sequence
+
+
+def decided(
+    rows: Hypotheses,
+    at: tuple[Event, Elapsed],
+    kind: int,
+    sizes: Sequence[float],
+    other: tuple[int, str] = (-1, ""),
+) -> Hypotheses:
+    """Hypotheses that have decided on an event.
+
+    Args:
+        rows: the hypotheses.
+        at: the event, and its instant, s since the epoch.
+        kind: ``TRUE``, ``SPURIOUS``, ``OTHER`` or ``RESTART``.
+        sizes: innovations in standard deviations; -1 for none.
+        other: index and name of the contact that has hit instead.
+    """
+    event, t = at
+    ruling, reason = {
+        TRUE: (Ruling.APPLIED, ""),
+        SPURIOUS: (Ruling.REJECTED, "no motion has this impact"),
+        OTHER: (Ruling.APPLIED, f"{MISLABELLED}{other[1]}"),
+        RESTART: (Ruling.APPLIED, "restart: the estimate before it is rejected"),
+    }[kind]
+    notes = []
+    for k, size in enumerate(sizes):
+        inserted = tuple(_inserted(each, event, t) for each in rows.missed[k])
+        own = tuple(
+            Note(event.key, event.stamp, i, ruling, reason, size, other[0] if kind == OTHER else i)
+            for i in event.hit
+        )
+        notes.append((*rows.notes[k], *inserted, *own)[-_KEPT:])
+    past = rows.decided(8 * (other[0] if kind == OTHER else event.hit[0]) + kind)
+    return rows._replace(
+        past=past,
+        notes=objects(notes),
+        missed=objects([()] * rows.size),
+        sunk=np.zeros(rows.size),
+    )
+
+
+def _inserted(each: Missed, event: Event, t: Elapsed) -> Note:
+    why = "in the dead time" if each.is_dead else "missed"
+    return Note(
+        event.key,
+        event.stamp - round((t - each.t) * 1e9),
+        each.contact,
+        Ruling.INSERTED,
+        f"IMPACT {why}: without it the estimate would penetrate by {each.depth:.3g} standard"
+        " deviations",
+        switched=each.contact,
+        kind=Kind.IMPACT,
+        is_dead=each.is_dead,
+    )
+
+
+def with_missed(rows: Hypotheses, missed: Sequence[Missed]) -> Hypotheses:
+    """Hypotheses each with one more impact that was not reported."""
+    every = [(*before, each) for before, each in zip(rows.missed, missed, strict=True)]
+    contacts = np.array([each.contact for each in missed], dtype=np.intp)
+    return rows._replace(past=rows.decided(8 * contacts + MISSED), missed=objects(every))

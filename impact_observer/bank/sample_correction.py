@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Corrects and weighs hypotheses by samples of what is measured beside the impacts."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.bank.bank import Array, Hypotheses, contacts_of
+from impact_observer.bank.ladders import triangular
+from impact_observer.bank.predict import Flights
+from impact_observer.events import Contacts
+from impact_observer.stamps import Elapsed
+from impact_observer.states import Vector
+
+_ROUNDING = 1e-13
+"""Rounding of a measured function, over the size of its terms."""
+_LATE = 4.0
+"""Deviations of a stamp by which a hypothesis inside a stop may be waiting for an event."""
+
+
+class Function(NamedTuple):
+    """A linear function of position, velocity and acceleration, or a gap.
+
+    Attributes:
+        position: factors, shape (n,).
+        velocity: the same.
+        acceleration: the same.
+        offset: in the unit of the function.
+        contact: whose gap is measured; -1 for none.
+    """
+
+    position: Vector
+    velocity: Vector
+    acceleration: Vector
+    offset: float = 0.0
+    contact: int = -1
+
+    def at(self, x: Array, t: Elapsed, held: Contacts, flights: Flights) -> tuple[Vector, Array]:
+        """Values at states (H, N), and their derivatives by the states, shapes (H,) and (H, N)."""
+        H, d = len(x), flights.d
+        n, rows = d // 2, np.zeros(x.shape)
+        if self.contact >= 0:
+            rows[:] = flights.gap_rows[self.contact]
+            return flights.gap(self.contact, x[:, :d], x[:, d:]) + self.offset, rows
+        rows[:, :n], rows[:, n:d] = self.position, self.velocity
+        values = np.full(H, self.offset)
+        if np.any(self.acceleration):
+            tangent = flights.tangent
+            free = tangent.rates([t], x[:, :d], held)[0][:, n:] @ self.acceleration
+            slope = self.acceleration @ tangent.rate_slope(held)[n:]
+            values += free - x[:, :d] @ slope
+            rows[:, :d] += slope
+            if flights.p:
+                by = self.acceleration @ tangent.by_rates([t] * H, x[:, :d], held)[:, n:]
+                rows[:, d : d + flights.p] = by
+                values -= by @ flights.constants[: flights.p]
+        return values + np.einsum("hi,hi->h", rows, x), rows
+
+
+class LinearSample(NamedTuple):
+    """A sample of a function.
+
+    Attributes:
+        function: what is measured.
+        value: as measured, less what depends on time alone.
+        variance: of its noise.
+        gate: largest innovation that is used, in standard deviations.
+        period: of the function, in its unit; 0 for none.
+    """
+
+    function: Function
+    value: float
+    variance: float
+    gate: float
+    period: float = 0.0
+
+
+class Sampled(NamedTuple):
+    """Hypotheses after a sample.
+
+    Attributes:
+        rows: the hypotheses, not normalised.
+        innovation: value less predicted value, of each, shape (H,).
+        z: its magnitude in standard deviations, shape (H,).
+    """
+
+    rows: Hypotheses
+    innovation: Vector
+    z: Vector
+
+
+def sampled(
+    rows: Hypotheses,
+    sample: LinearSample,
+    t: Elapsed,
+    flights: Flights,
+    considered: NDArray[np.intp],
+) -> Sampled:
+    """Hypotheses after a ``sample`` at ``t``, s since the epoch; those that it rejects stay.
+
+    A hypothesis inside a stop waits for an event: whether the plant has jumped is not known, so
+    the jump is noise of the sample.
+    """
+    d, ladders = flights.d, flights.ladders
+    value, by = np.empty(rows.size), np.empty(rows.x.shape)
+    jump = np.zeros(rows.size)
+    for number in np.unique(rows.held).tolist():
+        own, held = np.flatnonzero(rows.held == number), contacts_of(number)
+        value[own], by[own] = sample.function.at(rows.x[own], t, held, flights)
+        for contact in range(flights.m):
+            if contact in held:
+                continue
+            x = rows.x[own, :d]
+            gap, speed = flights.gap(contact, x, rows.x[own, d:]), x @ flights.speed_rows[contact]
+            late = _LATE * ladders.clocks[rows.c[own]] * np.abs(speed)
+            waits = (gap < 0) & (-gap < late)
+            if waits.any():
+                which = own[waits]
+                hit = rows.x[which].copy()
+                hit[:, :d] = flights.tangent.impact(x[waits], (contact,)).x
+                jump[which] += sample.function.at(hit, t, held, flights)[0] - value[which]
+    innovation = sample.value - value
+    if sample.period:
+        innovation -= sample.period * np.round(innovation / sample.period)
+    rounding = _ROUNDING * np.sum(np.abs(by * rows.x), axis=1) + 1e-300
+    noise = sample.variance + rounding**2 + jump**2
+    root = rows.roots(ladders)
+    row = np.einsum("hi,hik->hk", by, root)
+    variance = np.sum(row * row, axis=1) + noise
+    z = np.abs(innovation) / np.sqrt(variance)
+    used = z <= sample.gate
+    logw = rows.logw - np.minimum(z, sample.gate) ** 2 / 2 - np.log(variance) / 2
+    gain = np.einsum("hik,hk->hi", root, row) / variance[:, None]
+    gain[:, considered] = 0.0
+    gain[~used] = 0.0
+    x = rows.x + gain * innovation[:, None]
+    N = x.shape[1]
+    if len(considered):
+        wide = root - gain[:, :, None] * row[:, None, :]
+        wide = np.concatenate([wide, (gain * np.sqrt(noise)[:, None])[:, :, None]], axis=2)
+        S, B = triangular(wide), np.zeros_like(rows.B)
+    else:  # Potter's form, of both parts of the root together
+        part = 1 / (1 + np.sqrt(noise / variance))
+        change = (gain * part[:, None])[:, :, None] * row[:, None, :]
+        S = rows.S - change[:, :, :N]
+        by_error = np.einsum("hi,hik->hk", by[:, :d], rows.B)
+        part = np.where(ladders.errors[rows.r] > 0, part, 1.0)
+        B = rows.B - (gain[:, :d] * part[:, None])[:, :, None] * by_error[:, None, :]
+    return Sampled(rows._replace(x=x, S=S, B=B, logw=logw), innovation, z)
