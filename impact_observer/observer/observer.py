@@ -544,8 +544,8 @@ class Observer:
     def last_deviations(self) -> Vector | None:
         """Deviations of (q, u) in the last flights, at most ``MOST_FLIGHTS``, shape (2n,).
 
-        Root mean squares of those in the middle of each flight. None before two events, or for a
-        law that has no covariance.
+        Medians of those in the middle of each flight. None before two events, or for a law that
+        has no covariance.
         """
         self._follow()
         entries = self.timeline.entries[-MOST_FLIGHTS - 1 :] if self.timeline else []
@@ -553,7 +553,7 @@ class Observer:
         if not (pairs and self.law.has_covariance):
             return None
         found = [np.diag(self._run.estimate((a + b) // 2).covariance) for a, b in pairs]
-        return np.asarray(np.sqrt(np.mean(found, axis=0)))
+        return np.asarray(np.sqrt(np.median(found, axis=0)))
 
     def obstacle(self, stamp: int) -> str:
         """Why the estimate at ``stamp`` (ns) is not synchronized; empty where it is.
