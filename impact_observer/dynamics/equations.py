@@ -39,7 +39,7 @@ class Equations(Protocol):
 
 
 class Factor:
-    """``L`` of a positive definite ``M = L L^T``, and its inverse, shape (n, n) each.
+    """``L`` of a positive definite ``M = L L^T``, shape (n, n).
 
     Raises:
         LinAlgError: ``M`` is not positive definite.
@@ -47,16 +47,22 @@ class Factor:
 
     def __init__(self, M: Matrix) -> None:
         """Factorise ``M``, shape (n, n)."""
-        self.lower = np.linalg.cholesky(M)
-        self.inverse = linalg.solve_triangular(self.lower, np.eye(len(M)), lower=True)
+        self.lower = np.asfortranarray(np.linalg.cholesky(M))
 
     def solved(self, B: Matrix) -> Matrix:
         """``L^-1 B``, of shape (n,) or (n, columns) like ``B``."""
-        return np.asarray(self.inverse.dot(B))
+        return self._solved(B, trans=0)
 
     def solved_transposed(self, B: Matrix) -> Matrix:
         """``L^-T B``, of the shape of ``B``."""
-        return np.asarray(self.inverse.T.dot(B))
+        return self._solved(B, trans=1)
+
+    def _solved(self, B: Matrix, trans: int) -> Matrix:
+        # Not by an inverse: masses of finite elements are too ill-conditioned for its rounding.
+        # Every impact needs these products, and the checks of scipy would cost more than they do.
+        if not B.size:
+            return B
+        return np.asarray(linalg.lapack.dtrtrs(self.lower, B, lower=1, trans=trans)[0])
 
 
 def state_matrix(system: Equations) -> Matrix:
