@@ -117,9 +117,9 @@ def estimate_parameters() -> None:
     from impact_observer.filter.contact_change import ContactChange
     from impact_observer.filter.gaussian_state import GaussianState
     from impact_observer.filter.impact_filter import ImpactFilter
-    from impact_observer.observer.laws.parameter_accounts import doubted
+    from impact_observer.filter.unknown_parameters import UnknownParameters
 
-    unknowns = doubted(PRESSED)
+    unknowns = UnknownParameters.named(PRESSED, ["stiffness-scale", "restitution", "gap"])
     filter_, theta = ImpactFilter(PRESSED, 0.0, unknowns), unknowns.family.nominal
     d, p = 4 + theta.size, theta.size
     state = GaussianState(np.full(4, 0.1), theta, 1e-3 * np.eye(d), np.ones((d, 1)), (), p)

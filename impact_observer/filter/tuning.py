@@ -34,22 +34,6 @@ class Tuning:
     """
     log_restart: float = math.log(2.5e-3)
     """Prior probability that the covariance is too small, or the whole estimate wrong."""
-    log_clock_step: float = math.log(2.5e-3)
-    """Prior probability, at each event, that the sensor's clock has stepped before it. Its stamp
-    is then anywhere, as an event in the model's time scale.
-    """
-    largest_step: float = 1.0
-    """Largest step of a clock that is tried, s."""
-    possible_steps: int = 4
-    """Most steps that are tried beside each other."""
-    step_events: int = 8
-    """Events after which a step of the clock that has not been shown is not tried any more."""
-    log_possible_step: float = -4.0
-    """Odds below which a step of the clock is not tried any more. Other than after a step the
-    event has been expected, or is one of noise as probable as a step.
-    """
-    step_deviation: float = 4.0
-    """Deviation of a step that is tried, over that of the event that gives it."""
     log_error_change: float = math.log(0.01)
     """Prior probability, at each event, that an error of the model begins, ends or becomes of the
     other kind. The limit of the odds in docs/theory/filter.md is computed with this number.
@@ -322,62 +306,6 @@ class Tuning:
     """
     considered_deviations: float = 3.0
     """Errors of considered parameters, in deviations, that explain innovations of one sign."""
-    named_change: float = 2.0
-    """Change of a parameter, in deviations, from which on the warning names it."""
-    account_hypotheses: int = 32
-    """Hypotheses that the account keeps."""
-    wide_share: float = 0.5
-    """Deviations of the parameters of the wide account, relative to those of few kinds."""
-    wide_hypotheses: int = 8
-    """Hypotheses that the wide account keeps."""
-    wide_weight: float = 0.35
-    """Weight of the wide account in the covariance that a misfit publishes while few parameters
-    do not explain the impacts.
-    """
-    wide_weight_explained: float = 0.2
-    """The same while they do: two of them may explain all of a periodic motion. And while the
-    model is doubted before a warning.
-    """
-    account_coordinates: int = 32
-    """Most coordinates of a model with an account: each hypothesis is a system of its own. An
-    event of a chain of 40 masses takes half a second, one of 100 masses over a minute.
-    """
-    log_further: float = math.log(0.1)
-    """Prior probability that another kind of parameters is wrong too."""
-    damping_deviation: float = 0.3
-    """Prior deviation of the account's scale of the damping."""
-    amplitude_deviation: float = 0.1
-    """The same of its scales of the forcing."""
-    quadrature_deviation: float = 0.2
-    """The same of what is a quarter of a period ahead of the forcing, relative to that."""
-    constant_deviation: float = 0.1
-    """The same of constant forces, relative to the largest force."""
-    gap_deviation: float = 0.05
-    """The same of gaps, relative to the largest gap."""
-    aside_coordinates: int = 3
-    """Most coordinates of a model whose wide account has impulses beside those of the contacts: as
-    many as a body in space. With four masses they took half as much time again.
-    """
-    aside_deviation: float = 0.7
-    """The same of an impulse beside that of a contact, over the one that stops the contact: half
-    of it in the wide account, as by a coefficient of friction of 0.2 at a restitution of 0.75.
-    """
-    forced_coordinates: int = 4
-    """Most coordinates of a model whose account estimates a constant force on each."""
-    contact_time_deviation: float = 0.02
-    """The same of a contact time, relative to the time scale."""
-    widened_start: float = 3.0
-    """Deviations of the state with which the account begins, relative to the published ones."""
-    doubted_start: float = 0.05
-    """Deviations of the state that are added then, relative to the motion so far."""
-    doubted_again: float = 0.07
-    """Process noise of the account's parameters, at an event that needs an error of the model,
-    relative to their largest change. Such parameters stand for something else that is wrong.
-    """
-    replica_contact_time: float = 0.01
-    """Deviation of an unknown contact time in what a misfit publishes, relative to the time
-    scale.
-    """
 
     # Samples
     open_speed: float = 4.0

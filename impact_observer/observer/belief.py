@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The belief that an observer carries from one event to the next, and its prediction."""
 
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple, TypeAlias
@@ -14,12 +13,10 @@ from numpy.typing import NDArray
 from impact_observer.bank.bank import Bank
 from impact_observer.events import Contacts
 from impact_observer.filter.branching import Extent
-from impact_observer.filter.clock_steps import SensorClock
 from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.hypotheses import Hypothesis, published
+from impact_observer.filter.hypotheses import Hypothesis
 from impact_observer.filter.ledger import Note
 from impact_observer.filter.misfit import Fit
-from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 _NOTHING: Mapping[int, float] = MappingProxyType({})
@@ -44,41 +41,21 @@ _NO_PARAMETERS = Learned()
 
 
 class Fallback(NamedTuple):
-    """A replica whose error stays bounded.
-
-    A law restarts from this replica when all hypotheses are rejected.
+    """Where a law restarts when all hypotheses are rejected.
 
     Attributes:
         x: (q, u), shape (2n,).
         largest: magnitude of each component so far, the initial standard deviation
             included, shape (2n,).
-        errors: of x, one a column, shape (2n, 2n + 1): ``unit`` and, last, ``lag``.
     """
 
     x: Vector
     largest: Vector
-    errors: Matrix
 
     @property
     def extent(self) -> Extent:
-        """How large the motion is by this replica."""
+        """How large the motion is."""
         return Extent(self.x, self.largest)
-
-    @property
-    def unit(self) -> Matrix:
-        """A root of the covariance that white accelerations of 1 m/s^1.5 give, (2n, 2n)."""
-        return self.errors[:, :-1]
-
-    @property
-    def lag(self) -> Vector:
-        """The error if contacts last as long as allowed, shape (2n,)."""
-        return self.errors[:, -1]
-
-    def gap(self, system: System, contact: int) -> tuple[float, float]:
-        """The gap of a contact, m, and its standard deviation for that covariance, m."""
-        w, n = system.W[:, contact], system.n
-        seen = w.dot(self.unit[:n])
-        return float(w.dot(self.x[:n]) + system.q_r[contact]), math.sqrt(seen.dot(seen))
 
 
 class Onset(NamedTuple):
@@ -91,42 +68,6 @@ class Onset(NamedTuple):
 
     x: Vector
     hit: Contacts
-
-
-class Account(NamedTuple):
-    """Estimates beside the law's own hypotheses while the model is doubted.
-
-    Attributes:
-        hypotheses: with parameters of the model, the likeliest first.
-        fit: how the hypotheses have explained the events so far.
-        residual: the gap predicted at the last impact, m; NaN before any.
-    """
-
-    hypotheses: tuple[Hypothesis, ...]
-    fit: Fit = Fit()
-    residual: float = math.nan
-
-    @property
-    def published(self) -> Sequence[Hypothesis]:
-        """The hypotheses whose mixture is published; the estimate's own is the first."""
-        return published(self.hypotheses, misfit=self.fit.is_misfit or self.fit.is_in_error)
-
-    @property
-    def is_explained(self) -> bool:
-        """Whether its parameters explain the impacts."""
-        return self.fit.is_explained
-
-
-class Accounts(NamedTuple):
-    """The accounts of a doubted model.
-
-    Attributes:
-        few: with few kinds of parameters, as far as these explain the impacts.
-        wide: with all parameters and harmonic forces in doubt together.
-    """
-
-    few: Account
-    wide: Account
 
 
 class Belief(NamedTuple):
@@ -142,14 +83,12 @@ class Belief(NamedTuple):
         innovations: the estimate's gaps at the last event in standard deviations, by contact.
         accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
-        clock: steps of the sensor's clock, and hypotheses on further ones.
         learned: estimated parameters, computed at the first request.
         fit: how the model has explained the latest events, for a law with innovations.
         hypotheses: hypotheses of a law that has several, the likeliest first; else empty. The
             estimate is that of the first, the covariance that of the whole mixture.
         fallback: where a law with hypotheses restarts; None for others.
         behind: when the fallback holds, s since the epoch, and how many seconds ago that was.
-        account: estimates with other parameters, while the model is doubted.
         misfit: the warning that the model does not explain the impacts; empty without misfit.
         onset: the state before an impact that has an uncertain instant; the other states are those
             after the jump.
@@ -167,13 +106,11 @@ class Belief(NamedTuple):
     innovations: Mapping[int, float] = _NOTHING
     accepted: bool = True
     clock_offset: float = 0.0
-    clock: SensorClock = SensorClock()
     learned: Learned = _NO_PARAMETERS
     fit: Fit = Fit()
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
     behind: tuple[float, float] = (0.0, 0.0)
-    account: Accounts | None = None
     misfit: str = ""
     onset: Onset | None = None
     unmeasured: Vector | None = None

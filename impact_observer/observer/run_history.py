@@ -22,7 +22,6 @@ from impact_observer.events import (
     Ruling,
     Verdict,
 )
-from impact_observer.filter.clock_steps import SensorClock
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.readings import DeclaredSensor, Reading, SampleOutcome
 from impact_observer.observer.belief import Belief, Prediction
@@ -153,9 +152,8 @@ class RunHistory:
         timeline = self.timeline
         if timeline is not None:
             last = timeline.entries[-1]
-            since = last.since + last.belief.clock.late
-            if timeline.newest.stamp <= stamp < since:
-                return Ruling.TOO_LATE, _before(since), Remark.TOO_LATE
+            if timeline.newest.stamp <= stamp < last.since:
+                return Ruling.TOO_LATE, _before(last.since), Remark.TOO_LATE
         if timeline is None or stamp >= self._earliest:
             return None
         start = self.last_event - self._history
@@ -262,7 +260,7 @@ class RunHistory:
         reported, hit = map(names.index, contacts)
         if verdict.ruling is Ruling.INSERTED:
             before, entry = timeline.entry_at(verdict.stamp), None
-            stamp, hits = verdict.stamp - before.belief.clock.late, {hit}
+            stamp, hits = verdict.stamp, {hit}
             held = self.prediction(before).closed(seconds_between(before.since, stamp))
             closed = before.closed if held is None else held
         elif (found := timeline.around(verdict.stamp, verdict.sequence, reported)) is not None:
@@ -436,7 +434,7 @@ class RunHistory:
             return replace(
                 previous, key=event, latest=latest, overruled=overruled, last=last, outcome=None
             )
-        stamp = event.stamp - previous.belief.clock.late
+        stamp = event.stamp
         s = max(seconds_between(previous.since, stamp), 0.0)
         change = ContactChange.of(
             Elapsed(stamp - (self.epoch or stamp)),
@@ -452,7 +450,6 @@ class RunHistory:
             posterior, x = self._corrected(previous, change)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(stamp)} s: {error}") from None
-        stamp = event.stamp - posterior.clock.late
         result = self.test.after_event(previous.synchronization, change, x, posterior)
         if not isfinite(result.energy):
             raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
@@ -474,8 +471,6 @@ class RunHistory:
         s, belief = change.flown, previous.belief
         if s > 0:
             belief = self.prediction(previous).belief(s)
-        if self.sensors:  # their samples are stamped by a clock that has not stepped
-            belief = belief._replace(clock=SensorClock())
         return self.law.correct(change, belief), belief.x
 
     def measured(self, previous: Entry, samples: Sequence[EventKey]) -> list[Entry]:
