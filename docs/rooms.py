@@ -49,7 +49,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("check", "models and bags: what is wrong with them", "rich"),
     ),
     (
-        Room("fit", "from a recording to numbers, a table of impacts and a picture"),
+        Room("recording", "from a recording to numbers, a table of impacts and a picture"),
         Room("sweep", "Monte Carlo over laws, starts, faults, wrong models", "joblib, pyarrow"),
     ),
     (Room("ros", "nodes, recorder, player, monitor, watch", "rclpy"),),

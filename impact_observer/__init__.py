@@ -3,9 +3,9 @@
 
 Rooms, each importing only from those before it: ``model``, ``dynamics``, ``robots``, ``plant``
 and ``filter``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
-``batch``, ``check``, ``fit`` and ``sweep``, then ``ros`` and ``cli``. The modules beside this
-file are the vocabulary that all rooms share: errors, stamps, events, states, options. The first
-rooms, up to ``observer``, need numpy and scipy only; a ``Robot`` needs pinocchio.
+``batch``, ``check``, ``recording`` and ``sweep``, then ``ros`` and ``cli``. The modules beside
+this file are the vocabulary that all rooms share: errors, stamps, events, states, options. The
+first rooms, up to ``observer``, need numpy and scipy only; a ``Robot`` needs pinocchio.
 
 The names below are imported when they are first used, so that ``--help`` stays quick.
 """
@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from impact_observer.batch.fit_times import fit
     from impact_observer.events import ImpactEvent, Kind, Switch
     from impact_observer.model import Model, System, parse_model, read_model
     from impact_observer.observer import Observer, law_named
@@ -34,6 +35,7 @@ _HOME = {
     "Plant": "plant",
     "Switch": "events",
     "System": "model",
+    "fit": "batch.fit_times",
     "grid": "stamps",
     "law_named": "observer",
     "make_observer": "observer",
@@ -54,6 +56,7 @@ __all__ = [
     "Switch",
     "System",
     "__version__",
+    "fit",
     "grid",
     "law_named",
     "make_observer",

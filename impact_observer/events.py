@@ -9,8 +9,11 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import NamedTuple, TypeAlias
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from impact_observer.errors import UsageError
-from impact_observer.stamps import whole_stamp
+from impact_observer.stamps import NS_PER_S, whole_stamp
 
 Contacts: TypeAlias = tuple[int, ...]
 """Indices of contacts in their system, ascending."""
@@ -222,6 +225,25 @@ REVISED = "revised: "
 
 DECIDING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 """Rulings that decide about a switch; the last one counts."""
+
+
+def epoch_before(times: Mapping[str, ArrayLike]) -> int:
+    """A stamp of time zero, ns, with which all ``times`` (s, by contact) have stamps above 0."""
+    earliest = min((float(np.min(each, initial=0.0)) for each in times.values()), default=0.0)
+    return NS_PER_S * (1 + int(np.ceil(-earliest)))
+
+
+def events_at(times: Mapping[str, ArrayLike], epoch: int) -> list[ImpactEvent]:
+    """Events of impacts at ``times``, s since the ``epoch`` (ns), by contact; in order."""
+    stamps = [
+        (epoch + round(float(t) * NS_PER_S), contact)
+        for contact, own in times.items()
+        for t in np.ravel(np.asarray(own, dtype=float))
+    ]
+    return [
+        ImpactEvent(stamp, (Switch(contact),), k, 1, epoch)
+        for k, (stamp, contact) in enumerate(sorted(stamps), start=1)
+    ]
 
 
 def final_rulings(verdicts: Iterable[Verdict]) -> dict[tuple[int, int, str], Ruling]:

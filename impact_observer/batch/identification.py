@@ -35,7 +35,7 @@ _START = 10.0
 """Deviations of the start, over those that are suggested for a rig of this size."""
 _TRIED = 3
 """Other parameters that are tried as the cause of a misfit."""
-_ROUNDS_OF_OTHER = 3
+_ROUNDS_OF_OTHER = 2
 """Linearisations by which other parameters are compared."""
 
 
@@ -90,6 +90,11 @@ class Identification:
     def fit(self) -> MotionFit:
         """The motion."""
         return self.found.fit
+
+    @property
+    def motion(self) -> Explanation:
+        """The motion to publish: with the one more number, if any, that makes a misfit fit."""
+        return next((each.found for each in self.causes if each.fits), self.found)
 
     @property
     def verdict(self) -> FitVerdict:
@@ -250,8 +255,9 @@ def _causes(fit: MotionFit, progress: Callable[[str], None]) -> tuple[Cause, ...
     for each in parameters_beside(fit.problem.family):
         progress(f"whether {each.name} is the cause")
         problem = _with(fit.problem, fit.problem.family.extended([each]))
+        theta = np.append(fit.values, each.value)
         with suppress(DynamicsError, np.linalg.LinAlgError):
-            begun.append(fitted(problem, rounds=_ROUNDS_OF_OTHER))
+            begun.append(fitted(problem, fit, theta=theta, rounds=_ROUNDS_OF_OTHER))
     begun.sort(key=lambda each: -each.log_density)
     causes = list[Cause]()
     for near in begun[:_TRIED]:

@@ -77,10 +77,9 @@ class Moments:
 
     @property
     def inserted(self) -> Indices:
-        """Contacts of the missed detections, shape (any,)."""
-        return np.array(
-            [each.switching.hit[0] for each in self.each if not each.is_measured], dtype=np.intp
-        )
+        """Contacts of the missed detections of impacts, shape (any,)."""
+        missed = (each.switching.hit for each in self.each if not each.is_measured)
+        return np.array([i for hit in missed for i in hit], dtype=np.intp)
 
     @property
     def count(self) -> int:

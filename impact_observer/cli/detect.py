@@ -112,9 +112,9 @@ def _in_bag(
     """Detect in a bag."""
     from impact_observer.detector.bag_detection import detect_bag
     from impact_observer.errors import UsageError
-    from impact_observer.fit.sources_file import read_fit_sources
     from impact_observer.io.reader import BagReader
     from impact_observer.io.tables import TableForm
+    from impact_observer.recording.sources_file import read_fit_sources
 
     declared = read_fit_sources(args.sources, table_form(args))
     if declared.form != TableForm() or args.time_zero is not None:
@@ -141,9 +141,9 @@ def _in_signal(
     """Detect in a signal; print which stamps were given to it."""
     from impact_observer.detector.signal_detection import detect_signal, pulses_in
     from impact_observer.errors import UsageError
-    from impact_observer.fit.sources_file import read_fit_sources
     from impact_observer.io.bag_part import BagPart
     from impact_observer.io.signals import read_signal
+    from impact_observer.recording.sources_file import read_fit_sources
     from impact_observer.stamps import text
 
     progress.show(f"reading {args.bag}")

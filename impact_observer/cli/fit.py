@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit a recording; return 1 where the model does not fit."""
     from impact_observer.cli.progress import Progress
-    from impact_observer.fit.fit_page import fit_recording
+    from impact_observer.recording.fit_page import fit_recording
 
     with Progress() as progress:
         page = fit_recording(

@@ -121,6 +121,7 @@ def parameters_beside(family: ParametricFamily) -> tuple[ModelParameter, ...]:
         if each.name not in family.names
         and not (each.name.endswith("-scale") and (is_framed or each.name[:-6] in kinds))
         and not (each.name == OFFSET and is_sampled is not None)
+        and not (each.name.startswith(LATENCY) and family.system.m == 1)  # as the offset
     )
 
 

@@ -20,6 +20,8 @@ from impact_observer.events import (
     Remark,
     Ruling,
     Verdict,
+    epoch_before,
+    events_at,
 )
 from impact_observer.filter.readings import sensors_of
 from impact_observer.filter.uncertainty import covariance_root, spread
@@ -39,7 +41,8 @@ from impact_observer.observer.timeline import Entry, Insertion, Timeline, initia
 from impact_observer.observer.verdicts import with_reasons
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot
-from impact_observer.stamps import from_seconds, text, whole_stamp, whole_stamps
+from impact_observer.stamps import NS_PER_S, from_seconds, text, whole_stamp, whole_stamps
+from impact_observer.state_arrays import StateArrays
 from impact_observer.states import (
     Estimate,
     Estimates,
@@ -576,6 +579,27 @@ class Observer:
         """
         self._follow()
         return self._run.estimates(whole_stamps(stamps), replicas=replicas)
+
+    def run(self, times: Mapping[str, ArrayLike], seconds: ArrayLike) -> StateArrays:
+        """The states after all impacts up to each of ``seconds``, of an observer without events.
+
+        Args:
+            times: of the impacts of each contact, s since the epoch.
+            seconds: since the epoch, ascending, s.
+
+        Raises:
+            ImpactLawError, UsageError: as ``receive``.
+        """
+        epoch, made = self.given_epoch or epoch_before(times), list[Estimates]()
+        stamps = epoch + np.round(np.asarray(seconds, dtype=float) * NS_PER_S).astype(np.int64)
+        for event in (*events_at(times, epoch), None):
+            end = stamps.size if event is None else int(np.searchsorted(stamps, event.stamp))
+            here, stamps = stamps[:end], stamps[end:]
+            if here.size and self.start is not None:
+                made += self.estimates(here[here >= self.start])
+            if event is not None:
+                self.receive(event)
+        return StateArrays.of(self.system.state_names, made, epoch)
 
     def set_state(
         self,

@@ -11,9 +11,9 @@ from impact_observer.check.model_check import ModelCheck
 from impact_observer.check.model_report import for_json
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind
-from impact_observer.fit.detection_choice import impacts_from_rest
 from impact_observer.io.table_times import UNITS
 from impact_observer.model import System
+from impact_observer.recording.detection_choice import impacts_from_rest
 from impact_observer.stamps import NS_PER_S, seconds_between
 
 _RATIO = 5.0

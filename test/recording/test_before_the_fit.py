@@ -10,9 +10,9 @@ from two_masses import MODEL
 from impact_observer.check.model_check import check_model
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.fit.before_the_fit import check_times, doubtful_contacts, model_warnings
 from impact_observer.model import parse_model, read_model
 from impact_observer.plant import simulate
+from impact_observer.recording.before_the_fit import check_times, doubtful_contacts, model_warnings
 from impact_observer.stamps import grid
 
 EPOCH = 10**9

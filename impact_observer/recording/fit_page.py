@@ -18,16 +18,6 @@ from impact_observer.draw.pictures import save
 from impact_observer.draw.reports import figure
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import ImpactEstimate, Ruling
-from impact_observer.fit.before_the_fit import check_times, doubtful_contacts, model_warnings
-from impact_observer.fit.fit_and_smooth import FitTask, FittedRecording, fit_bag
-from impact_observer.fit.impacts_in_recording import RecordedImpacts, Task, read_recording
-from impact_observer.fit.recording_picture import (
-    PlottedMotion,
-    PlottedSignal,
-    recording_picture,
-    signal_picture,
-)
-from impact_observer.fit.sources_file import read_fit_sources, sources_text
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import time_zero
 from impact_observer.io.observed_bag import events_from
@@ -38,6 +28,16 @@ from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.model.system import refuse_squares, unit_of
+from impact_observer.recording.before_the_fit import check_times, doubtful_contacts, model_warnings
+from impact_observer.recording.fit_and_smooth import FitTask, FittedRecording, fit_bag
+from impact_observer.recording.impacts_in_recording import RecordedImpacts, Task, read_recording
+from impact_observer.recording.recording_picture import (
+    PlottedMotion,
+    PlottedSignal,
+    recording_picture,
+    signal_picture,
+)
+from impact_observer.recording.sources_file import read_fit_sources, sources_text
 from impact_observer.stamps import seconds_between
 
 _STATES = f"/{interfaces.OBSERVER_STATES.name_under(interfaces.SMOOTHER)}"

@@ -14,12 +14,6 @@ from impact_observer.detector.signal_detection import detect_signal
 from impact_observer.detector.source import ARRIVAL, PEAK
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.fit.detection_choice import (
-    ChosenSource,
-    choose_detection,
-    expected_impacts,
-    usual_dead_time,
-)
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import SIGNAL_FILES, SOUND_FILES
 from impact_observer.io.import_table import import_table
@@ -31,6 +25,12 @@ from impact_observer.io.tables import TableForm, read_table
 from impact_observer.message_fields import header_stamp, numbers_at
 from impact_observer.model import Model
 from impact_observer.observer import Options
+from impact_observer.recording.detection_choice import (
+    ChosenSource,
+    choose_detection,
+    expected_impacts,
+    usual_dead_time,
+)
 from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Stamps, Vector
 

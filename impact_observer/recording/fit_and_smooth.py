@@ -10,7 +10,6 @@ from scipy.linalg import block_diag
 
 from impact_observer import __version__
 from impact_observer.batch import fit_report
-from impact_observer.batch.explanation import Explanation
 from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.smooth_bag import BagSmoothing, smooth_bag
 from impact_observer.errors import DynamicsError, IdentificationError
@@ -167,15 +166,10 @@ def fit_bag(
             _options(task, model),
             smoothed,
             rate=_rate(events),
-            known=None if identification is None else _motion(identification),
+            known=None if identification is None else identification.motion,
             progress=step,
         )
     return FittedRecording(model, text, identification, failure, smoothing)
-
-
-def _motion(found: Identification) -> Explanation:
-    """Return the motion to publish: with the one more number, if any, that makes a misfit fit."""
-    return next((each.found for each in found.causes if each.fits), found.found)
 
 
 def _identified(

@@ -8,12 +8,12 @@ from signals import Scalar
 
 from impact_observer.detector import Detector, Source
 from impact_observer.errors import UsageError
-from impact_observer.fit.detection_choice import (
+from impact_observer.model import read_model
+from impact_observer.recording.detection_choice import (
     ExpectedImpacts,
     choose_detection,
     expected_impacts,
 )
-from impact_observer.model import read_model
 from impact_observer.states import Stamps, Vector
 
 RATE = 20_000

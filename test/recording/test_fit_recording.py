@@ -13,14 +13,14 @@ from scipy.io import wavfile
 from two_masses import MODEL
 
 from impact_observer.cli.main import main
-from impact_observer.fit.fit_page import fit_recording
-from impact_observer.fit.impacts_in_recording import Task, read_recording
 from impact_observer.io import BagReader, BagWriter, Quality
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import impact_estimates
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
 from impact_observer.plant import Run, simulate
+from impact_observer.recording.fit_page import fit_recording
+from impact_observer.recording.impacts_in_recording import Task, read_recording
 from impact_observer.stamps import grid
 
 EPOCH = 10**9

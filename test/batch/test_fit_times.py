@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``fit`` and ``Observer.run`` of seconds by contact, in Python and in the notebook."""
+
+import json
+
+import numpy as np
+import pytest
+from systems import EPOCH, run, sample
+
+from impact_observer import Options, fit, make_observer
+from impact_observer.errors import BagError
+from impact_observer.resources import shared
+from impact_observer.stamps import seconds_between
+
+
+def seconds_of(name: str, seconds: float) -> dict[str, list[float]]:
+    """Seconds of the impacts of a sample by contact."""
+    model = sample(name)
+    times = dict[str, list[float]]()
+    for each in run(model.system, *model.initial_state(), seconds=seconds).events:
+        times.setdefault(each.switches[0].contact, []).append(seconds_between(EPOCH, each.stamp))
+    return times
+
+
+def test_fit_finds_parameters_impacts_and_states() -> None:
+    """Of two stops; states against the plant, with deviations; the picture has all states."""
+    model, times = sample("three_mass"), seconds_of("three_mass", 30.0)
+    found = fit(times, model, free=("restitution",))
+    assert found.fits
+    for name, true in {"restitution.right": 0.6, "restitution.left": 0.8}.items():
+        value, error = found.parameters[name]
+        assert abs(value - true) < max(4 * error, 1e-6)
+    assert found.impacts.contact.count("left") == len(times["left"])
+    np.testing.assert_allclose(found.impacts.seconds, np.sort(np.concatenate([*times.values()])))
+    assert np.all(found.impacts.speed_before > 0)
+    truth = run(model.system, *model.initial_state(), seconds=30.0, rate=2.0)
+    at = np.array([seconds_between(EPOCH, each) for each in truth.stamps.tolist()])
+    motion = found.states(at[1:])
+    np.testing.assert_allclose(motion.states, truth.states[1:], atol=1e-5)
+    assert np.all(motion.deviations > 0)
+    assert len(found.plot().axes) == 6
+    with pytest.raises(BagError, match="bell"):
+        fit({"bell": [1.0]}, model, free=())
+
+
+def test_an_observer_runs_through_seconds_by_contact() -> None:
+    """The last state is that of the plant, within its deviations; before, only the past counts."""
+    model, times = sample("two_mass"), seconds_of("two_mass", 30.0)
+    observer = make_observer(model.system, Options(law="minimum-variance"))
+    seen = observer.run(times, np.arange(0.0, 30.0, 0.5))
+    truth = run(model.system, *model.initial_state(), seconds=30.0, rate=2.0)
+    np.testing.assert_allclose(seen.states[-1], truth.states[-2], atol=1e-6)
+    assert np.all(seen.deviations[-1] < 1e-3 * seen.deviations[0])
+
+
+def test_the_notebook_runs() -> None:
+    """All of its cells, one after the other."""
+    notebook = json.loads(shared("examples/impact_times.ipynb").read_text("utf-8"))
+    names: dict[str, object] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    assert "found" in names
