@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """States of a motion as arrays, with their deviations."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -9,8 +10,6 @@ from impact_observer.states import Estimates, Matrix, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-    from matplotlib.figure import Figure
 
 
 class StateArrays(NamedTuple):
@@ -44,11 +43,10 @@ class StateArrays(NamedTuple):
                 row[:] = np.sqrt(np.diag(each.covariance))
         return cls(names, np.asarray(stamps * 1e-9), rows, deviations)
 
-    def plot(self) -> "Figure":
-        """Coordinates and velocities over time, with bands of two deviations."""
-        from matplotlib.figure import Figure  # noqa: PLC0415 - few need pictures
-
-        chart = Figure(figsize=(8.0, 1.6 * len(self.names)), layout="constrained")
+    def plot(self) -> Any:  # noqa: ANN401 - a Figure; few need matplotlib
+        """A figure of coordinates and velocities over time, with bands of two deviations."""
+        figure = import_module("matplotlib.figure").Figure
+        chart = figure(figsize=(8.0, 1.6 * len(self.names)), layout="constrained")
         every = np.ravel(chart.subplots(len(self.names), sharex=True))
         for axes, name, x, s in zip(
             every, self.names, self.states.T, self.deviations.T, strict=True

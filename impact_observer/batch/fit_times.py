@@ -93,7 +93,8 @@ class FittedTimes:
         impacts = self.impacts.seconds
         begin = (self.run.start - self.run.run.epoch) * 1e-9
         seconds = np.linspace(begin, impacts[-1], 40 * impacts.size + 1)
-        return self.states(seconds).plot()
+        chart: Figure = self.states(seconds).plot()
+        return chart
 
 
 def fit(
