@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from impact_observer.arrays_of_states import StateArrays
 from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.smoothed_run import SmoothedRun
 from impact_observer.batch.smoothing import smoothed_runs
@@ -16,7 +17,6 @@ from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import Model, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options
-from impact_observer.state_arrays import StateArrays
 from impact_observer.states import Vector
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from impact_observer.arrays_of_states import StateArrays
 from impact_observer.errors import DynamicsError, ImpactObserverError, UsageError
 from impact_observer.events import (
     REVISED,
@@ -42,7 +43,6 @@ from impact_observer.observer.verdicts import with_reasons
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, from_seconds, text, whole_stamp, whole_stamps
-from impact_observer.state_arrays import StateArrays
 from impact_observer.states import (
     Estimate,
     Estimates,
