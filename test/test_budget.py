@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from impact_observer.bank.ladders import Numbers
 from impact_observer.cli.main import COMMANDS, main
 from impact_observer.filter.tuning import Tuning
 
@@ -43,7 +44,9 @@ MEASURES: dict[str, Callable[[pytest.CaptureFixture[str]], int]] = {
     "lines of benchmarks/": lambda _: lines("benchmarks", "*.py", "*.cpp"),
     "words of README.md and docs/": lambda _: words(),
     "options of the commands": options,
-    "tuned numbers, fields of `Tuning`": lambda _: len(fields(Tuning)),
+    "tuned numbers, fields of `Tuning` and `Numbers`": lambda _: (
+        len(fields(Tuning)) + len(Numbers._fields)
+    ),
 }
 
 
