@@ -103,9 +103,14 @@ class Hypotheses(NamedTuple):
         return found
 
     def published(self, ladders: Ladders) -> Array:
-        """``roots`` as published: errors of a model persist, and white noise does not."""
-        found = self.roots(ladders)
-        return found * ladders.persistence[self.r, None, None]
+        """``roots`` as published: errors of a model persist, and white noise does not.
+
+        So after the first event deviations of (q, u) are larger where the model is in error.
+        """
+        found, d = self.roots(ladders), self.B.shape[1]
+        factor = np.where(self.past.any(axis=1), ladders.persistence[self.r], 1.0)
+        found[:, :d] *= factor[:, None, None]
+        return found
 
     @property
     def weights(self) -> Vector:

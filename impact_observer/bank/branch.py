@@ -119,7 +119,7 @@ def _moments(
     gv = np.sum(gS * vS, axis=1)[h] + square * np.sum(gB * vB, axis=1)[h]
     vv = np.sum(vS * vS, axis=1)[h] + square * np.sum(vB * vB, axis=1)[h]
     least = _LEAST_GAP * np.sum(np.abs(x), axis=1)[h]
-    gg += ladders.clocks[c] ** 2 * (v[h] ** 2 + vv) + least**2
+    gg += flights.clock(contact, c) ** 2 * (v[h] ** 2 + vv) + least**2
     return g[h], gg, v[h], vv, gv
 
 

@@ -21,8 +21,10 @@ from impact_observer.events import Contacts
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Vector
 
-_ITERATIONS = 3
-"""Linearisations of a gap about the corrected state."""
+_ITERATIONS = 4
+"""Most linearisations of a gap about the corrected state."""
+_SETTLED = 1e-9
+"""Change of an instant that ends them, over the fastest time scale."""
 
 _FARTHEST = 16.0
 """Error of a stamp to which states are taken back at most, over the fastest time scale."""
@@ -76,18 +78,18 @@ def corrected(
     Raises:
         ImpactLawError: the impact law has no solution on these contacts.
     """
-    stamped = stamped_of(rows, flights)
+    stamped = stamped_of(rows, flights, hit.contacts[0])
     for contact in hit.contacts:
         stamped = _measured(stamped, contact, hit, flights, considered)
     return _jumped(rows, stamped, hit, flights), stamped
 
 
-def stamped_of(rows: Hypotheses, flights: Flights) -> Stamped:
-    """Hypotheses at a stamp, with the errors of the stamp."""
+def stamped_of(rows: Hypotheses, flights: Flights, contact: int) -> Stamped:
+    """Hypotheses at a stamp of a ``contact``, with the errors of the stamp."""
     (H, N), d = rows.x.shape, flights.d
     root = np.zeros((H, N + 1, N + d + 2))
     root[:, :N, : N + d] = rows.roots(flights.ladders)
-    root[:, N, N + d] = flights.ladders.clocks[rows.c]
+    root[:, N, N + d] = flights.clock(contact, rows.c)
     v = np.zeros(H)
     if d + flights.p < N:  # the delay
         root[:, N, :N] = rows.S[:, N - 1]
@@ -123,7 +125,9 @@ def _measured(
         gain = np.einsum("hik,hk->hi", root, row) / np.sum(row * row, axis=1)[:, None]
         gain[:, considered] = 0.0
         x = prior.x - gain[:, :N] * residual[:, None]
-        v = np.clip(prior.v - gain[:, N] * residual, -farthest, earliest)
+        before, v = v, np.clip(prior.v - gain[:, N] * residual, -farthest, earliest)
+        if np.all(np.abs(v - before) < _SETTLED / flights.rate):
+            break
     root = root - gain[:, :, None] * row[:, None, :]
     if len(hit.contacts) > 1:
         root = np.concatenate([root, np.zeros_like(root[:, :, :1])], axis=2)

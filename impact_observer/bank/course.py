@@ -162,7 +162,8 @@ class Course:
         """
         rows = self._rows(s)
         best = int(np.argmax(rows.logw))
-        missed = sum(not each.is_dead for each in rows.missed[best])
+        heard = self._flights.log_missed < 0  # others have no sensor
+        missed = sum(bool(heard[m.contact]) and not m.is_dead for m in rows.missed[best])
         return missed, bool(rows.sunk[best] < self._filter.numbers.log_inside)
 
     def closed(self, s: float) -> Contacts:

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from impact_observer.bank.balance import balance_of
@@ -24,10 +24,17 @@ from impact_observer.bank.bank import (
 )
 from impact_observer.bank.branch import Branches, Priors, impacts
 from impact_observer.bank.correct import Hit, corrected
-from impact_observer.bank.ladders import NUMBERS, Ladders, Numbers, lengths_of
+from impact_observer.bank.ladders import (
+    NUMBERS,
+    ROUNDING,
+    Ladders,
+    Numbers,
+    lengths_of,
+    triangular,
+)
 from impact_observer.bank.merge import merged, most_of
 from impact_observer.bank.notes import Event, decided
-from impact_observer.bank.predict import Flights, Leg
+from impact_observer.bank.predict import Flights, Leg, Reports
 from impact_observer.bank.sample_correction import LinearSample, Sampled, sampled
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.dynamics.tangent import Tangent
@@ -49,6 +56,7 @@ class DeclaredErrors(NamedTuple):
         clock: deviation of a stamp besides its rounding, s; None to weigh several.
         error: white accelerations, m/s^1.5; None to weigh relative errors of the model.
         missed: probability that an impact of each contact is not reported, shape (m,).
+        clocks: deviations of the stamps of contacts, s; NaN where ``clock`` holds, shape (m,).
         spurious: probability that an event is a false alarm.
         mislabelled: probability that an event is an impact of another contact.
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
@@ -59,7 +67,8 @@ class DeclaredErrors(NamedTuple):
 
     clock: float | None = None
     error: float | None = None
-    missed: Sequence[float] | float = 0.0
+    missed: ArrayLike = 0.0
+    clocks: ArrayLike = math.nan
     spurious: float = 0.0
     mislabelled: float = 0.0
     dead_time: float = 0.0
@@ -91,6 +100,8 @@ class ImpactBank:
         missed = np.broadcast_to(np.asarray(declared.missed, dtype=float), self.m)
         with np.errstate(divide="ignore"):
             self.log_missed = np.log(missed)
+        clocks = np.broadcast_to(np.asarray(declared.clocks, dtype=float), self.m)
+        self._own_clocks = np.hypot(clocks, ROUNDING)
         self.nominal = np.zeros(len(declared.constants))
         self.nominal[: family.size] = family.nominal
         self._considered = self.d + np.flatnonzero(declared.considered)
@@ -116,7 +127,8 @@ class ImpactBank:
     def _flights_of(self, constants: tuple[float, ...]) -> Flights:
         given, size = np.array(constants), self.family.size
         tangent = Tangent(self.family, given[:size])
-        return Flights(tangent, given, self.ladders, self.numbers, self.log_missed)
+        reports = Reports(self.log_missed, self._own_clocks)
+        return Flights(tangent, given, self.ladders, self.numbers, reports)
 
     def begin(self, t: Elapsed, x: Vector, root: Matrix, held: Contacts = ()) -> Bank:
         """The bank at a start: (q, u), shape (2n,), with a root of its covariance, (2n, 2n)."""
@@ -186,6 +198,16 @@ class ImpactBank:
         return bank._replace(
             t=bank.t + s, rows=rows, replica=replica, squares=squares, intensity=intensity
         )
+
+    def flown_on(self, bank: Bank, s: float) -> tuple[Vector, Matrix]:
+        """The likeliest hypothesis ``s`` seconds later as if no impact came, and a root of it.
+
+        Shapes (N,) and (N, N): the state before an event, on its own side of it.
+        """
+        best = bank.rows.take([int(np.argmax(bank.rows.logw))])
+        leg = Leg(bank.t, s, contacts_of(int(best.held[0])), bank.intensity)
+        later = self.flights(bank.constants).flown(best, leg, np.zeros(1), np.array([s]))
+        return later.x[0], triangular(later.published(self.ladders)[0])
 
     def deaf(self, bank: Bank, t: float) -> Vector | None:
         """Until when the sensor reports no impact of each contact, s after ``t``, shape (m,)."""

@@ -90,7 +90,7 @@ class Numbers(NamedTuple):
 
 
 NUMBERS = Numbers()
-_ROUNDING = 1e-9 / math.sqrt(12)
+ROUNDING = 1e-9 / math.sqrt(12)
 """Standard deviation of rounding a stamp to 1 ns, s."""
 
 
@@ -121,7 +121,7 @@ class Ladders(NamedTuple):
             numbers: the tuned numbers.
         """
         errors = np.array(numbers.errors if error is None else (error,))
-        clocks = np.hypot(numbers.clocks if clock is None else (clock,), _ROUNDING)
+        clocks = np.hypot(numbers.clocks if clock is None else (clock,), ROUNDING)
         far = numbers.farthest
         by = [range(-far, far + 1) if each.size > 1 else range(1) for each in (errors, clocks)]
         moves = np.array([(i, j) for i in by[0] for j in by[1]])

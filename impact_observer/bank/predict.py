@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from impact_observer.bank.bank import Array, Hypotheses, Missed, bits, contacts_of, spread_of
@@ -26,6 +27,8 @@ _ROUNDING = 1e-13
 """Depth of a dip that is rounding, over the size of the gap."""
 _TABLE = 4096
 """Most steps of the table of a flight; of longer flights the steps are longer."""
+_SETTLED = 1e-12
+"""Change of an instant that ends its search, over the fastest time scale."""
 _NEWTON = 8
 """Steps by which the instant of a predicted impact is found."""
 _NO_STAMP = 0.1
@@ -56,6 +59,18 @@ class Leg(NamedTuple):
     most: int | None = None
 
 
+class Reports(NamedTuple):
+    """How the sensors of m contacts report impacts.
+
+    Attributes:
+        log_missed: log probability that an impact is not reported, shape (m,).
+        clocks: deviations of stamps, s; NaN where the ladder holds, shape (m,).
+    """
+
+    log_missed: Vector
+    clocks: Vector
+
+
 class Flights:
     """The motion of hypotheses between events, near some parameters.
 
@@ -65,6 +80,7 @@ class Flights:
         ladders: what rungs stand for.
         numbers: the tuned numbers.
         log_missed: log probability that an impact is not reported, of each contact, shape (m,).
+        own_clocks: deviations of the stamps of contacts, s; NaN where the ladder holds, (m,).
         d: numbers of (q, u).
         gap_rows: derivatives of the gaps by the state, shape (m, N).
         speed_rows: derivatives of their speeds by (q, u), shape (m, d).
@@ -77,11 +93,11 @@ class Flights:
         constants: Vector,
         ladders: Ladders,
         numbers: Numbers,
-        log_missed: Vector,
+        reports: Reports,
     ) -> None:
         """Prepare the rows of gaps and speeds."""
         self.tangent, self.ladders, self.numbers = tangent, ladders, numbers
-        self.constants, self.log_missed = constants, log_missed
+        self.constants, (self.log_missed, self.own_clocks) = constants, reports
         system = tangent.system
         self.m, self.p, self.d = system.m, tangent.p, 2 * system.n
         self.rate = max(tangent.phase(()).flow.exponential.rate, 1.0)
@@ -101,8 +117,13 @@ class Flights:
             self.constants,
             self.ladders._replace(clocks=clocks),
             self.numbers,
-            self.log_missed,
+            Reports(self.log_missed, np.full_like(self.own_clocks, np.nan)),
         )
+
+    def clock(self, contact: NDArray[np.intp] | int, c: NDArray[np.intp]) -> Vector:
+        """Deviations of stamps of a contact, by hypotheses on rungs ``c``, shape (H,), s."""
+        own = self.own_clocks[contact]
+        return np.where(np.isnan(own), self.ladders.clocks[c], own)
 
     def gap(self, contact: int, x: Array, constants: Array) -> Array:
         """The gap of a contact at (q, u), shape (..., d), with constants, shape (..., N - d)."""
@@ -241,7 +262,7 @@ class Flights:
         lowest = self.flown(rows.take(dips.h), leg, at, dips.lowest - at)
         seen = spread_of(lowest, self.ladders, self.gap_rows[dips.contact])
         speed = np.einsum("di,di->d", self.speed_rows[dips.contact], lowest.x[:, :d])
-        seen = np.hypot(seen, speed * self.ladders.clocks[lowest.c]) + 1e-300
+        seen = np.hypot(seen, speed * self.clock(dips.contact, lowest.c)) + 1e-300
         depth = -dips.gap / seen
         is_named = np.isin(dips.contact, leg.named) & ~dips.is_over
         cost = np.maximum(special.log_ndtr(-depth), _LEAST)
@@ -369,7 +390,10 @@ class Flights:
             gap, speed = self.gap(contact, x, rows.x[:, d:]), x @ row
             low, high = np.where(gap > 0, at, low), np.where(gap > 0, high, at)
             newton = at - gap / np.where(speed, speed, -1.0)
-            at = np.where((newton >= low) & (newton <= high), newton, (low + high) / 2)
+            before, inside = at, (newton >= low) & (newton <= high)
+            at = np.where(inside, newton, (low + high) / 2)
+            if np.all(np.abs(at - before) < _SETTLED / self.rate):
+                break
         rows = self.flown(rows, leg, start, at - start)
         x, gap = rows.x[:, :d], self.gap(contact, rows.x[:, :d], rows.x[:, d:])
         speed = x @ row

@@ -113,7 +113,7 @@ def sampled(
                 continue
             x = rows.x[own, :d]
             gap, speed = flights.gap(contact, x, rows.x[own, d:]), x @ flights.speed_rows[contact]
-            late = _LATE * ladders.clocks[rows.c[own]] * np.abs(speed)
+            late = _LATE * flights.clock(contact, rows.c[own]) * np.abs(speed)
             waits = (gap < 0) & (-gap < late)
             if waits.any():
                 which = own[waits]

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.motion_fit import BatchProblem, linearised_fit
 from impact_observer.batch.passes import NoiseSizes
 from impact_observer.batch.recorded_run import RecordedRun
@@ -22,6 +21,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.square_root import sparse_basis
 from impact_observer.model import System
+from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.contact_sensors import NO_SENSORS
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.explanation import Explanation, explanation
 from impact_observer.batch.motion_fit import BatchProblem, MotionFit, fitted
 from impact_observer.batch.recorded_run import RecordedRun
@@ -17,6 +16,7 @@ from impact_observer.batch.verdict import FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError, IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.uncertainty import deviation_of, suggested_deviation
+from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors
 from impact_observer.model.free_parameters import OFFSET, is_phase, parameters_beside
 from impact_observer.model.live_signals import refused

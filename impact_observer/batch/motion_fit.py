@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.linearised_motion import Array, LinearisedMotion, linearised
 from impact_observer.batch.moments import Moments, grouped
 from impact_observer.batch.noise_sizes import LARGEST_CLOCK, LARGEST_MODEL, ROUNDED, NoiseDensity
@@ -31,6 +30,7 @@ from impact_observer.batch.passes import (
 )
 from impact_observer.batch.sample_rows import FlightSamples, SampleRows, sample_rows
 from impact_observer.dynamics.tangent import Tangent
+from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 

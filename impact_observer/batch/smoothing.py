@@ -9,7 +9,6 @@ from typing import TypeAlias
 import numpy as np
 from scipy.linalg import block_diag
 
-from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.explanation import Explanation, explanation
 from impact_observer.batch.filter_account import TracedLaw
 from impact_observer.batch.motion_fit import BatchProblem
@@ -20,6 +19,7 @@ from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import Model, System
+from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.contact_sensors import NO_SENSORS
 from impact_observer.model.free_parameters import OFFSET, parameters_beside, parametric_family
 from impact_observer.model.measurement import Measurement

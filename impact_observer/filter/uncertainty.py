@@ -13,6 +13,7 @@ from impact_observer.filter.contradiction import Declared
 from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
+from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.time_shift import NO_SHIFT, TimeShift
 from impact_observer.options import Options, highest
 from impact_observer.robots.robot import Robot
@@ -61,6 +62,7 @@ class Uncertainty:
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
         undeclared: deviation of a published component, over its motion, for errors of a model
             that declares none; 0 for an exact model. Estimates do not depend on it.
+        contacts: errors of the sensors of single contacts; None where all are the same.
         shift: by how much the motion may be early or late, for errors of a model that a fit has
             shown; deviations contain it, estimates do not depend on it.
     """
@@ -75,6 +77,7 @@ class Uncertainty:
     unknowns: UnknownParameters | None = None
     dead_time: float = Options.dead_time
     undeclared: float = 0.0
+    contacts: ContactErrors | None = None
     shift: TimeShift = NO_SHIFT
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty, deviation_of
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
+from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.live_signals import connected
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_source import ModelSource, model_of
@@ -64,6 +65,9 @@ def make_observer(
         unknowns = unknowns or _unknown_parameters(linear, options, model)
         system, known = linear, Uncertainty(unknowns=unknowns, undeclared=undeclared)
     known = replace(known, shift=model.shift)
+    if model.sensors.by_contact and law.has_covariance:
+        names = system.contact_names
+        known = replace(known, contacts=ContactErrors.of(model.sensors, names, options.missed))
     encoders = encoder_start(options, system, measurements)
     law = law.for_kind(type(system))
     return Observer(

@@ -8,7 +8,6 @@ import pytest
 from numpy.typing import NDArray
 from systems import sample
 
-from impact_observer.batch.contact_errors import ContactErrors
 from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.linearised_motion import linearised
 from impact_observer.batch.recorded_run import RecordedRun
@@ -16,6 +15,7 @@ from impact_observer.batch.smoothing import smoothed_runs
 from impact_observer.dynamics.tangent import Tangent
 from impact_observer.events import ImpactEvent
 from impact_observer.model import Model
+from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensor, ContactSensors
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options

@@ -740,7 +740,7 @@ def test_model_that_does_not_explain_the_impacts_is_a_warning(
         values = {each.key: each.value for each in last.values}
         assert values["synchronized"] == "False"
         assert int(values[Remark.MISFIT.value]) > 0
-        assert "model error [m/s^1.5]" in values
+        assert "relative model error" in values
 
 
 def test_the_end_of_a_misfit_is_logged_too(

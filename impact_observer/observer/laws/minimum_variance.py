@@ -83,12 +83,15 @@ class MinimumVariance(Law):
         self._names = [*family.names, *(["clock_offset"] if offset else [])]
         self._considered = np.array([*considered, *([False] if offset else [])], dtype=bool)
         self._has_delay = bool(offset)
+        m, given = system.m, own.contacts
+        self._latency = np.zeros(m) if given is None else given.latency
         self.filter = ImpactBank(
             family,
             DeclaredErrors(
                 own.clock_error,
                 own.model_error,
-                own.missed,
+                own.missed if given is None else given.missed,
+                math.nan if given is None else given.clock,
                 own.spurious,
                 own.mislabelled,
                 own.dead_time,
@@ -108,7 +111,10 @@ class MinimumVariance(Law):
 
     def belief(self, bank: Bank, s: float) -> Belief:
         """What is believed ``s`` seconds after the stamp of a bank."""
-        x, root = Course(self.filter, bank).estimate(s + bank.late)
+        if s + bank.late:
+            x, root = Course(self.filter, bank).estimate(s + bank.late)
+        else:
+            x, root = mixture(bank.rows, self.filter.ladders, self.filter.numbers.unpublished)
         return self.made(bank, x, root, s)
 
     def made(self, bank: Bank, x: Vector, root: Matrix, s: float) -> Belief:
@@ -156,6 +162,8 @@ class MinimumVariance(Law):
         del closed
         bank = posterior.bank
         assert bank is not None, "a belief of this law"
+        if posterior.behind[1]:  # a prior that nothing has corrected
+            bank = self.filter.predicted(bank, posterior.behind[1])
         return BankPrediction(self, bank._replace(t=_instant(t) + -bank.late))
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
@@ -163,6 +171,7 @@ class MinimumVariance(Law):
         bank = prior.bank
         assert bank is not None, "a belief of this law"
         delay = float(bank.constants[-1]) if self._has_delay else 0.0
+        delay += float(self._latency[change.contacts[0]])
         t = _instant(change.t) + -delay
         if bank.rows.past.any() or prior.behind[1]:
             bank = self.filter.predicted(bank, t - bank.t, change.hit)
@@ -260,7 +269,7 @@ class BankPrediction(Prediction):
         return self._course.closed(s + self._bank.late)
 
     def belief(self, s: float) -> Belief:
-        x, root = self._course.estimate(s + self._bank.late)
+        x, root = self._law.filter.flown_on(self._bank, s + self._bank.late)
         return self._law.made(self._bank, x, root, s)
 
     def silence(self, s: float) -> str:
