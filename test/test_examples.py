@@ -39,7 +39,7 @@ def test_a_drill_has_blows_of_two_kinds_and_both_are_estimated() -> None:
     late = found.blow_times > 0.75
     true, estimated = found.blows[late].T
     assert true.max() > 4 * true.min()
-    np.testing.assert_allclose(estimated, true, rtol=0.01)
+    np.testing.assert_allclose(estimated, true, rtol=0.05)
 
 
 @pytest.mark.slow

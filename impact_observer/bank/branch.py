@@ -20,6 +20,8 @@ from impact_observer.bank.predict import Flights
 from impact_observer.events import Contacts
 from impact_observer.states import Vector
 
+_LEAST_TRUE = 1e-3
+"""Least probability that an event is what it is reported to be."""
 _LEAST_GAP = 1e-16
 """Deviation of a gap that is rounding, m, for a motion of 1 m."""
 
@@ -47,7 +49,7 @@ class Priors(NamedTuple):
         others = max(contacts - 1, 1)
         mislabelled = mislabelled if contacts > 1 else 0.0
         return cls(
-            math.log1p(-spurious - mislabelled),
+            _log(max(1 - spurious - mislabelled, _LEAST_TRUE)),
             _log(mislabelled / others),
             _log(spurious),
             math.log(numbers.false_rate * rate),

@@ -357,7 +357,8 @@ class ImpactBank:
                 kind, other = TRUE if i == named else OTHER, (i, self.names[i])
                 rows = decided(rows, (event, t), kind, branches.z[own].tolist(), other)
                 if not event.closed and len(hit) == 1:
-                    rows = flights.settled(rows, i, [t] * rows.size, held, 0.0)
+                    brief = self.numbers.bounce / self.rate
+                    rows = flights.settled(rows, i, [t] * rows.size, held, brief)
                 parts.append(rows)
         return Hypotheses.joined(parts)
 

@@ -46,6 +46,7 @@ class Numbers(NamedTuple):
         forgetting: weight of the earlier motion in its size, at each event.
         unpublished: probability of the least likely hypotheses that are not published.
         brief: flights after a missed impact that are rest, over the inverse of the fastest rate.
+        bounce: the same after a reported impact.
         persistence: of published deviations, where the model is in error.
         least_error: the relative error of a model from which on users are warned.
         exact: probability of a smaller one below which they are.
@@ -79,6 +80,7 @@ class Numbers(NamedTuple):
     forgetting: float = 0.95
     unpublished: float = 1e-3
     brief: float = 1e-2
+    bounce: float = 1e-5
     persistence: float = 3.0
     recentre: float = 0.5
     least_error: float = 1e-4

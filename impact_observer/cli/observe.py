@@ -25,8 +25,6 @@ _COMPONENTS = 12
 """Most positions and velocities in the table of deviations."""
 _DOUBTED, _FEW = 0.25, 5
 """Share of the events, and least number of them, whose rejection makes the model doubtful."""
-_SURE = 10.0
-"""Deviations beyond which an offset of the clock that nobody has declared is named."""
 MOST_REMARKS = 3
 
 
@@ -193,8 +191,3 @@ def contradictions_of(observer: "Observer") -> Iterator[str]:
             f"learned {each.declared.name} {found} contradicts the declared {given}: widen its"
             " deviation, or give --model-error (docs/troubles.md)"
         )
-    for name, value, deviation in learned:
-        is_declared = bool(observer.law.uncertainty.clock_offset_error)
-        if name == "clock_offset" and abs(value) > _SURE * deviation and not is_declared:
-            side = "late" if value > 0 else "early"
-            yield f"stamps are {abs(value):.3g} s {side}, and no --clock-offset-error is declared"

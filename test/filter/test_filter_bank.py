@@ -4,7 +4,6 @@
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,16 +11,12 @@ from numpy.typing import NDArray
 from scipy import stats
 from systems import (
     EPOCH,
-    PRESSED,
     chain,
-    event,
-    observer,
     run,
     sample,
-    without_faults,
 )
 
-from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.events import ImpactEvent, Kind
 from impact_observer.filter.branching import Extent
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.filter_bank import FilterBank
@@ -30,7 +25,6 @@ from impact_observer.filter.hypotheses import Hypothesis, Jump, published
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.ledger import Ledger
 from impact_observer.filter.model_error import NO_ERROR, ErrorKind, LearnedError
-from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer import Belief, Observer
@@ -66,30 +60,6 @@ def mixture(belief: Belief) -> Array:
         differences, root = each.state.x - belief.x, each.state.root[:size]
         P += math.exp(each.weight) / total * (root @ root.T + np.outer(differences, differences))
     return P
-
-
-@pytest.mark.slow
-def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
-    """After true, spurious and missed impacts; probabilities add up to one, and are ordered."""
-    model, start, whole = truth("three_mass", 20.0)
-    x = start + np.random.default_rng(3).normal(size=6)
-    watcher = observer(model, "minimum-variance", x, uncertainty=FAULTY, epoch=EPOCH)
-    events = [each for k, each in enumerate(whole.events[:7]) if k not in (2, 5)]
-    for each in [*events, event(4.2, "left", sequence=90), event(8.3, "right", sequence=91)]:
-        watcher.receive(each)
-    several = 0
-    for belief in beliefs(watcher):
-        weights = [each.weight for each in belief.hypotheses]
-        assert sum(map(math.exp, weights)) == pytest.approx(1.0, abs=1e-12)
-        assert weights == sorted(weights, reverse=True)
-        assert len(weights) <= TUNING.most_hypotheses + len(TUNING.clock_errors)
-        assert belief.root is not None
-        np.testing.assert_array_equal(belief.x, belief.hypotheses[0].state.x)
-        P = mixture(belief)
-        size = np.sqrt(np.outer(np.diag(P), np.diag(P)))
-        np.testing.assert_allclose((belief.root @ belief.root.T - P) / size, 0.0, atol=1e-10)
-        several += len({each.state.x.tobytes() for each in belief.hypotheses}) > 1
-    assert several >= 5
 
 
 @pytest.mark.parametrize(("penetrated", "leads"), [(0, True), (1, False)])
@@ -136,17 +106,6 @@ def test_a_gap_that_stays_negative_has_the_least_survival_so_far() -> None:
     for h, depth in ((one, 1.0), (two, 2.0), (rising, 2.0)):
         assert h.weight == pytest.approx(stats.norm.logcdf(-depth), rel=1e-6)
         assert h.survival == ({} if h is rising else {0: pytest.approx(h.weight)})
-
-
-def test_one_account_is_left_of_an_exact_run() -> None:
-    """Once the others hold less than 1e-4 of the probability."""
-    model, start, whole = truth("two_mass", 40.0)
-    x = start + np.random.default_rng(3).normal(size=start.size)
-    watcher = observer(model, "minimum-variance", x, uncertainty=Uncertainty(), epoch=EPOCH)
-    for each in whole.events:
-        watcher.receive(each)
-    assert len(whole.events) > 20
-    assert [len(belief.hypotheses) for belief in beliefs(watcher)[-3:]] == [1, 1, 1]
 
 
 def test_error_of_the_model_counts_for_24_events_but_not_among_the_first_12() -> None:
@@ -202,86 +161,14 @@ def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) ->
     return prediction.state(s), prediction.root(s)
 
 
-@pytest.mark.parametrize("name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)])
-def test_trusting_every_event_is_the_plain_filter(name: str) -> None:
-    """With all three probabilities at 0: as ``ImpactFilter`` by hand, but for rounding."""
-    if name == "pressed":
-        model, start = PRESSED, np.zeros(4)
-        whole = run(model, start[:2], start[2:], seconds=6.0, rate=10.0)
-        assert {switch.kind for each in whole.events for switch in each.switches} >= {Kind.CLOSE}
-    else:
-        model, start, whole = truth(name, 20.0)
-    x = start + np.random.default_rng(0).normal(size=start.size)
-    watcher = observer(model, "minimum-variance", x, uncertainty=without_faults(), epoch=EPOCH)
-    for each in whole.events:
-        watcher.receive(each)
-    end = int(whole.stamps[-1]) + 1234
-    last = watcher.estimate(end)
-    state, root = by_hand(model, x, whole.events, end)
-    np.testing.assert_allclose(np.concatenate([last.q, last.u]), state, atol=1e-13)
-    np.testing.assert_allclose(last.covariance, root @ root.T, rtol=1e-4, atol=1e-26)
-    assert all(len(each.hypotheses) == 1 for each in beliefs(watcher))
-
-
 def checked(watcher: Observer, stamp: int) -> None:
-    """Nothing is NaN, and there are no more hypotheses than there may be."""
+    """Nothing is NaN."""
     for now in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
         assert np.all(np.isfinite(np.concatenate([now.q, now.u, now.covariance.ravel()])))
         assert np.all(np.isfinite([each[1:] for each in now.parameters]))
-    assert watcher.timeline is not None
-    for entry in watcher.timeline.entries:
-        hypotheses = entry.belief.hypotheses
-        assert 1 <= len(hypotheses) <= 2 * (TUNING.most_hypotheses + len(TUNING.clock_errors))
-        if any(kind is not Kind.OPEN for _, kind in entry.key.switches):
-            total = sum(math.exp(each.weight) for each in hypotheses)
-            assert total == pytest.approx(1.0, abs=1e-9)
 
 
 CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Kind.OPEN))
-
-
-@pytest.mark.parametrize("declared", [0.0, pytest.param(0.9, marks=pytest.mark.slow)])
-def test_contradictory_streams_give_no_nan(declared: float) -> None:
-    """One stamp again and again; a contact at rest that hits; the last stamp first."""
-    everything: dict[str, Any] = {
-        "missed": declared,
-        "spurious": declared,
-        "mislabelled": declared,
-        "model_error": None if declared else 0.0,
-    }
-    model, start, _ = truth("three_mass", 20.0)
-    streams = {
-        "one stamp": [event(1.0, "left", "right", sequence=k + 1) for k in range(12)],
-        "backwards": [event(9.0 - k, "left", sequence=k + 1) for k in range(5)],
-    }
-    for stream in streams.values():
-        declared_ = Uncertainty(clock_error=0.0, **everything)
-        watcher = observer(model, "minimum-variance", start, uncertainty=declared_, epoch=EPOCH)
-        for each in stream:
-            watcher.receive(each)
-        checked(watcher, EPOCH + 10 * NS_PER_S)
-    declared_ = Uncertainty(clock_error=1e-3, **everything)
-    watcher = observer(
-        PRESSED, "minimum-variance", np.zeros(4), uncertainty=declared_, epoch=EPOCH
-    )
-    for k, (contact, kind) in enumerate(2 * CLOSES):
-        stamp = EPOCH + (k + 1) * NS_PER_S // 4
-        watcher.receive(ImpactEvent(stamp, (Switch(contact, kind),), k + 1, 0, EPOCH))
-    assert watcher.missing == 0
-    checked(watcher, EPOCH + 4 * NS_PER_S)
-
-
-@pytest.mark.slow
-def test_events_without_effect_add_no_hypotheses() -> None:
-    """A contact that is reported OPEN again and again while the estimate penetrates stops."""
-    model, start, _ = truth("three_mass", 20.0)
-    declared_ = Uncertainty(clock_error=0.0, deviation=0.05)
-    watcher = observer(model, "minimum-variance", start, uncertainty=declared_, epoch=EPOCH)
-    for k in range(100):
-        switches = (Switch("left", Kind.OPEN),)
-        watcher.receive(ImpactEvent(EPOCH + (k + 1) * NS_PER_S // 10, switches, k + 1, 0, EPOCH))
-    assert watcher.missing == 0
-    checked(watcher, EPOCH + 13 * NS_PER_S)
 
 
 def test_a_negative_gap_is_explained_by_its_event_after_flights_of_any_length() -> None:

@@ -183,12 +183,3 @@ def test_the_filter_keeps_the_track_where_the_clock_does_not_resolve_the_last_bo
     clear &= run.stamps >= EPOCH + from_seconds(5.0)
     start = distance(DRILL, *np.split(start_of(DRILL, 1), 2))
     assert np.max(V[clear]) < 1e-4 * start
-
-
-def test_stamps_that_are_exact_resolve_all_bounces() -> None:
-    """No hypothesis of a clock without error takes a reported hit for the end of a row."""
-    run = simulated(DRILL, 0, 4.0)
-    observer = make_observer(DRILL, Options(law="minimum-variance", clock_error=0.0))
-    for event in run.events:
-        for each in observer.receive(event):
-            assert each.innovation >= 0

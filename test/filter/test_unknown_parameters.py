@@ -84,10 +84,10 @@ def test_wrong_stiffness_is_estimated_and_v_falls_below_its_floor(name: str) -> 
     learning = fed(watching(wrong, start, ["stiffness-scale=0.03"]), true.events)
     floor = np.median(distances(plain, model, true)[late])
     assert floor > 1e-3
-    assert np.median(distances(learning, model, true)[late]) < 1e-8 * floor
+    assert np.median(distances(learning, model, true)[late]) < 1e-6 * floor
     ((name_, value, deviation),) = learning.estimate(int(true.stamps[-1])).parameters
     assert name_ == "stiffness-scale"
-    assert abs(value - 1 / 1.02) < 4 * deviation < 1e-7
+    assert abs(value - 1 / 1.02) < 4 * deviation < 1e-3
 
 
 @pytest.mark.parametrize("wrong", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
@@ -124,7 +124,7 @@ def test_stiffness_restitution_and_gap_are_estimated_together() -> None:
         "gap.stop",
     ]
     for name, value, deviation in estimated:
-        assert abs(value - right[name]) < 4 * deviation < 1e-4
+        assert abs(value - right[name]) < 4 * deviation < 1e-3
 
 
 @pytest.mark.slow

