@@ -174,7 +174,8 @@ class MinimumVariance(Law):
         bank = prior.bank
         assert bank is not None, "a belief of this law"
         delay = float(bank.constants[-1]) if self._has_delay else 0.0
-        delay += float(self._latency[change.contacts[0]])
+        if change.contacts:
+            delay += float(self._latency[change.contacts[0]])
         t = _instant(change.t) + -delay
         if bank.rows.past.any() or prior.behind[1]:
             bank = self.filter.predicted(bank, t - bank.t, change.hit)
