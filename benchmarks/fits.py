@@ -142,7 +142,7 @@ def draws(
     _: Checkout, _folder: Path, seed: int, *, name: str, jitter: float, scatter: float
 ) -> Figures:
     """Parameters of 20 recordings."""
-    plant, begun = rigs()[name], time.process_time()
+    plant = rigs()[name]
     every = [recorded(plant, DRAWS * seed + k, jitter, scatter).events for k in range(DRAWS)]
     begun = time.process_time()
     found = [tried(plant, events) for events in every]

@@ -97,6 +97,11 @@ class Elapsed(float):
     __hash__ = float.__hash__
 
 
+def elapsed(t: float) -> Elapsed:
+    """A time, s since the epoch, with its rounding error where that is known."""
+    return t if isinstance(t, Elapsed) else Elapsed(0) + float(t)
+
+
 def whole_stamp(stamp: object, name: str = "stamp") -> int:
     """A ``stamp`` of any integer type as an int, ns.
 

@@ -136,19 +136,26 @@ def work() -> None:
     """Let plants and observers use the kernel in all phases and hypotheses that they have."""
     from systems import EPOCH, PRESSED
 
-    from impact_observer import Options, Plant, grid, make_observer, read_model, simulate
+    from impact_observer import Options, Plant, System, grid, make_observer, read_model, simulate
     from impact_observer.model.measurement import Measurement
+    from impact_observer.observer.laws.geometric import Geometric
+    from impact_observer.observer.laws.robot_variance import RobotVariance
     from impact_observer.observer.samples import SensorSample
+
+    class LinearVariance(RobotVariance):
+        """The filter of robots, which calls the kernel for linear systems."""
+
+        takes = (System,)
 
     stamps = grid(EPOCH, EPOCH + 2_000_000_000, 10.0)
     starts = [(model.system, *model.initial_state()) for model in map(read_model, MODELS)]
     starts.append((PRESSED, np.array([0.1, -0.2]), np.array([0.5, 0.0])))
     for system, q, u in starts:
         events = simulate(Plant(system, q, u, epoch=EPOCH), stamps).events
-        for law in ("geometric", "minimum-variance"):
+        for law in (Geometric, LinearVariance):
             encoder = Measurement("e", "/e", system.coordinates[0], "position", deviation=1.0)
-            options = Options(law=law, initial_state="random:1", epoch=EPOCH)
-            observer = make_observer(system, options, measurements=[encoder])
+            options = Options(initial_state="random:1", epoch=EPOCH)
+            observer = make_observer(system, options, law=law, measurements=[encoder])
             for k, event in enumerate(events):
                 if k % 5 != 3:  # missed
                     observer.receive(event)

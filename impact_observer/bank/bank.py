@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hypotheses as arrays, one row each, and the bank of them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
 Array = NDArray[np.float64]
-TRUE, SPURIOUS, MISSED, OTHER, RESTART, RELEASED = range(1, 7)
+TRUE, SPURIOUS, MISSED, OTHER, RESTART = range(1, 6)
 """Decisions on an event or a predicted impact; a decision is ``8 contact + one of these``."""
 
 
@@ -76,6 +76,22 @@ class Hypotheses(NamedTuple):
     def size(self) -> int:
         """Number of hypotheses."""
         return len(self.logw)
+
+    @property
+    def best(self) -> int:
+        """Index of the likeliest hypothesis."""
+        return int(np.argmax(self.logw))
+
+    def by_held(self) -> Iterator[tuple[NDArray[np.intp], Contacts]]:
+        """Indices of the hypotheses with the same closed contacts, and these contacts."""
+        for number in np.unique(self.held).tolist():
+            yield np.flatnonzero(self.held == number), contacts_of(number)
+
+    def shown(self, unpublished: float) -> "Hypotheses":
+        """The likeliest first, without the least likely ones, ``unpublished`` together."""
+        order = np.argsort(-self.logw)
+        kept = 1 + int(np.searchsorted(np.cumsum(self.weights[order]), 1 - unpublished))
+        return self.take(order[:kept])
 
     def take(self, which: Any) -> "Hypotheses":  # noqa: ANN401 (what indexes an array)
         """The chosen hypotheses."""
@@ -162,16 +178,12 @@ def mixture(rows: Hypotheses, ladders: Ladders, unpublished: float) -> tuple[Vec
     Returns:
         Shapes (N,) and (N, N).
     """
-    order = np.argsort(-rows.logw)
-    weights = rows.weights[order]
-    kept = 1 + int(np.searchsorted(np.cumsum(weights), 1 - unpublished))
-    order, weights = order[:kept], weights[:kept] / weights[:kept].sum()
-    if kept == 1:
-        return rows.x[order[0]], triangular(rows.take(order).published(ladders)[0])
-    x = rows.x[order]
-    mean = x[0]
-    root = rows.take(order).published(ladders)
-    wide = np.concatenate([root, (x - mean)[:, :, None]], axis=2) * np.sqrt(weights)[:, None, None]
+    rows = rows.shown(unpublished)
+    mean, root = rows.x[0], rows.published(ladders)
+    if rows.size == 1:
+        return mean, triangular(root[0])
+    scale = np.sqrt(rows.weights)[:, None, None]
+    wide = np.concatenate([root, (rows.x - mean)[:, :, None]], axis=2) * scale
     return mean, triangular(wide.transpose(1, 0, 2).reshape(len(mean), -1))
 
 

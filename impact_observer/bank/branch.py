@@ -3,7 +3,7 @@
 
 Of each hypothesis and each move of its rungs an impact has a likelihood: the density of the gap at
 zero, times the mean speed at which contacts close there (Rice, Mathematical analysis of random
-noise, 1945), which is a density of the instant. A false alarm has a density of the instant, too.
+noise, 1945), which is a density of the instant. So is that of a false positive.
 """
 
 import math
@@ -33,7 +33,7 @@ class Priors(NamedTuple):
         true: as reported.
         other: an impact of another contact, of each of them.
         spurious: nothing.
-        false_rate: log of the rate of false alarms, were all events such, 1/s.
+        false_rate: log of the rate of false positives, were all events such, 1/s.
     """
 
     true: float

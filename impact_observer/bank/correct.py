@@ -25,7 +25,6 @@ _ITERATIONS = 4
 """Most linearisations of a gap about the corrected state."""
 _SETTLED = 1e-9
 """Change of an instant that ends them, over the fastest time scale."""
-
 _FARTHEST = 16.0
 """Error of a stamp to which states are taken back at most, over the fastest time scale."""
 _ROUNDING = 8 * float(np.finfo(np.float64).eps)
@@ -141,10 +140,10 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
     back = tangent.flights([hit.t] * H, -v, hit.held)
     forth = tangent.flights([hit.t + -each for each in v.tolist()], v, hit.closed)
     own, by_constants = flights.images(back, x)
-    y, jump, by_jump = _pressed(own, x[:, d : d + p], hit, flights)
+    after = x.copy()
+    after[:, :d], jump, by_jump = _pressed(own, x, hit, flights)
     whole = x.copy()
-    beside = np.hstack([y, x[:, d:]])
-    whole[:, :d], by = flights.images(forth, beside)
+    whole[:, :d], by = flights.images(forth, after)
     by_x = forth.Phi @ jump @ back.Phi
     S = root[:, :N].copy()
     S[:, :d] = by_x @ root[:, :d]
@@ -152,9 +151,9 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
         by = by + forth.Phi @ (jump @ by_constants)
         by[:, :, :p] += forth.Phi @ by_jump
         S[:, :d] += by @ root[:, d:N]
-    after = tangent.rates([hit.t], whole[:, :d], hit.closed)[0]
+    later = tangent.rates([hit.t], whole[:, :d], hit.closed)[0]
     before = tangent.rates([hit.t], x[:, :d], hit.held)[0]
-    by_v = after - (by_x @ before[..., None])[..., 0]
+    by_v = later - (by_x @ before[..., None])[..., 0]
     S[:, :d] += by_v[:, :, None] * root[:, N:]
     most = flights.numbers.most_kick_error
     error = np.minimum(flights.ladders.errors[rows.r], most)
@@ -178,8 +177,8 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
     )
 
 
-def _pressed(own: Array, theta: Array, hit: Hit, flights: Flights) -> tuple[Array, Array, Array]:
-    """States (q, u) after the jump of states ``own``, and its derivatives.
+def _pressed(own: Array, x: Array, hit: Hit, flights: Flights) -> tuple[Array, Array, Array]:
+    """(q, u) after the jump from ``own``, with the parameters of ``x``, and its derivatives.
 
     Returns:
         Shapes (H, d), (H, d, d) by the states, (H, d, p) by the parameters.
@@ -205,6 +204,4 @@ def _pressed(own: Array, theta: Array, hit: Hit, flights: Flights) -> tuple[Arra
             y[which], Phi[which] = still.x, still.Phi @ jumps.Phi
         else:
             y[which], Phi[which], Gamma[which] = jumps
-    if flights.p:
-        y += (Gamma @ (theta - flights.constants[: flights.p])[..., None])[..., 0]
-    return y, Phi, Gamma
+    return y + flights.change(Gamma, x), Phi, Gamma

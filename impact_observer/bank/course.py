@@ -59,11 +59,9 @@ class Course:
         """Follow the likeliest hypotheses of ``bank``."""
         self._filter, self._bank = filter_, bank
         self._flights = filter_.flights(bank.constants)
-        order = np.argsort(-bank.rows.logw)
-        shares = np.cumsum(bank.rows.weights[order])
-        kept = 1 + int(np.searchsorted(shares, 1 - filter_.numbers.unpublished))
+        shown = bank.rows.shown(filter_.numbers.unpublished)
         first = _STEPS * self._flights.tangent.phase(()).flow.exponential.step / 2
-        self._checkpoints = [self._checkpoint(bank.rows.take(order[:kept]), 0.0, first)]
+        self._checkpoints = [self._checkpoint(shown, 0.0, first)]
         self._starts = [0.0]
         self.estimate = lru_cache(2)(self._estimate)
         self._rows = lru_cache(2)(self._rows_at)
@@ -97,8 +95,7 @@ class Course:
     def _is_lost(self) -> bool:
         """Whether so many impacts were missed that none is looked for any more."""
         rows = self._checkpoints[-1].rows
-        missed = len(rows.missed[np.argmax(rows.logw)])
-        return missed >= self._filter.numbers.most_silent
+        return len(rows.missed[rows.best]) >= self._filter.numbers.most_silent
 
     def _rows_at(self, s: float) -> Hypotheses:
         """What is decided after ``s`` seconds; states may be those of the checkpoint before."""
@@ -130,9 +127,8 @@ class Course:
         x[:d], root[:d] = moved[0], maps.Phi[0] @ root[:d] + by[0] @ root[d:]
         if point.error:
             noise = np.zeros((len(x), d))
-            noise[:d] = flights.tangent.noise(length.clip(0.0), point.held, self._bank.intensity)[
-                0
-            ]
+            flown = length.clip(0.0), point.held, self._bank.intensity
+            noise[:d] = flights.tangent.noise(*flown)[0]
             root = triangular(np.hstack([root, point.error * noise]))
         return x, root
 
@@ -161,12 +157,11 @@ class Course:
             How many it has inserted; and whether it is far inside a stop.
         """
         rows = self._rows(s)
-        best = int(np.argmax(rows.logw))
-        heard = self._flights.log_missed < 0  # others have no sensor
-        missed = sum(bool(heard[m.contact]) and not m.is_dead for m in rows.missed[best])
+        best, has_sensor = rows.best, self._flights.log_missed < 0
+        missed = sum(bool(has_sensor[m.contact]) and not m.is_dead for m in rows.missed[best])
         return missed, bool(rows.sunk[best] < self._filter.numbers.log_inside)
 
     def closed(self, s: float) -> Contacts:
         """Contacts that the likeliest hypothesis holds closed."""
         rows = self._rows(s)
-        return contacts_of(int(rows.held[np.argmax(rows.logw)]))
+        return contacts_of(int(rows.held[rows.best]))

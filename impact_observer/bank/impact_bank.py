@@ -57,7 +57,7 @@ class DeclaredErrors(NamedTuple):
         error: white accelerations, m/s^1.5; None to weigh relative errors of the model.
         missed: probability that an impact of each contact is not reported, shape (m,).
         clocks: deviations of the stamps of contacts, s; NaN where ``clock`` holds, shape (m,).
-        spurious: probability that an event is a false alarm.
+        spurious: probability that an event is a false positive.
         mislabelled: probability that an event is an impact of another contact.
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
         constants: root of the covariance of the parameters and, where it is estimated, of the
@@ -135,9 +135,8 @@ class ImpactBank:
         deviations = lengths_of(root) + _SMALL
         for row, rest in self._held_rows(held):  # gaps and speeds are zero
             seen = row @ root
-            square = max(float(seen @ seen), 1e-300)
-            x = x - root @ seen * ((row @ x + rest) / square)
-            root = root - np.outer(root @ seen, seen) / square
+            x = x - root @ seen * ((row @ x + rest) / max(float(seen @ seen), 1e-300))
+            root = _known(row, root)
         rows = self._begun(x, root, held)
         never = np.full(self.m, -np.inf)
         size = np.where(self._size > _SMALL, self._size, deviations)
@@ -181,6 +180,14 @@ class ImpactBank:
             objects([()] * H),
         )
 
+    def _begun_anew(
+        self, before: Hypotheses, x: Vector, root: Matrix, held: Contacts, logw: float
+    ) -> Hypotheses:
+        """Hypotheses of a new start, ``logw`` together; notes are those of the best ``before``."""
+        rows = self._begun(x, root, held)
+        notes = objects([before.notes[before.best]] * rows.size)
+        return rows._replace(logw=rows.logw + logw, notes=notes)
+
     def predicted(self, bank: Bank, s: float, named: Contacts = ()) -> Bank:
         """The bank ``s`` seconds later, just before an event of the contacts ``named`` if any."""
         if s <= 0:
@@ -204,7 +211,7 @@ class ImpactBank:
 
         Shapes (N,) and (N, N): the state before an event, on its own side of it.
         """
-        best = bank.rows.take([int(np.argmax(bank.rows.logw))])
+        best = bank.rows.take([bank.rows.best])
         leg = Leg(bank.t, s, contacts_of(int(best.held[0])), bank.intensity)
         later = self.flights(bank.constants).flown(best, leg, np.zeros(1), np.array([s]))
         return later.x[0], triangular(later.published(self.ladders)[0])
@@ -228,7 +235,7 @@ class ImpactBank:
             return bank
         rows, priors, numbers = bank.rows, self.priors, self.numbers
         flights = self.flights(bank.constants)
-        found, kept = [], -np.inf
+        found = []
         resting = (rows.held & bits(event.hit)) != 0
         true, free = self._true(rows, event, flights, resting)
         false = rows.logw + priors.spurious + priors.false_rate
@@ -244,8 +251,10 @@ class ImpactBank:
         order = order[true.logw[order] > kept]
         if order.size:
             found.append(self._corrected(free, true.take(order), bank.t, event, flights))
+        least = np.full(free.size, np.inf)
+        np.minimum.at(least, true.h, true.z)
         z = np.full(rows.size, -1.0)
-        z[~resting] = [float(np.min(true.z[true.h == h])) for h in range(free.size)]
+        z[~resting] = least
         for logw, kind, sizes in ((false, SPURIOUS, z), (bounce, TRUE, -np.ones(z.size))):
             order = np.argsort(-logw)[:most]
             order = order[logw[order] > kept]
@@ -253,7 +262,7 @@ class ImpactBank:
                 stays = rows.take(order)._replace(logw=logw[order])
                 found.append(decided(stays, (event, bank.t), kind, sizes[order].tolist()))
         replica = self._bounced(bank.replica, event.hit, flights)
-        farthest = float(z[np.argmax(bank.rows.logw)])
+        farthest = float(z[rows.best])
         is_expected = evidence - before >= math.log(self.rate) or self._trusts(farthest)
         if not (found and is_expected):
             weight = before + priors.false_rate + numbers.log_restart
@@ -284,12 +293,10 @@ class ImpactBank:
         """
         flights, rows = self.flights(bank.constants), bank.rows
         if lost:
-            best = int(np.argmax(rows.logw))
+            x, held = rows.x[rows.best, : self.d], contacts_of(int(rows.held[rows.best]))
             root = np.diag(self.numbers.restart_deviation * bank.sizes)
-            begun = self._begun(rows.x[best, : self.d], root, contacts_of(int(rows.held[best])))
-            logw = begun.logw + rows.logw.max() + self.numbers.log_restart
-            notes = objects([rows.notes[best]] * begun.size)
-            rows = Hypotheses.joined([rows, begun._replace(logw=logw, notes=notes)])
+            weight = float(rows.logw.max()) + self.numbers.log_restart
+            rows = Hypotheses.joined([rows, self._begun_anew(rows, x, root, held, weight)])
         found = sampled(rows, sample, bank.t, flights, self._considered)
         order = np.argsort(-found.rows.logw)
         logw = found.rows.logw[order]
@@ -344,12 +351,9 @@ class ImpactBank:
         parts, named = [], event.hit[0]
         for i in np.unique(branches.contact).tolist():
             hit = event.hit if i == named else (i,)
-            for number in np.unique(chosen.held).tolist():
-                own = np.flatnonzero((branches.contact == i) & (chosen.held == number))
-                if not own.size:
-                    continue
-                held = contacts_of(number)
-                closed = tuple(sorted({*held, *event.closed}))
+            of_contact = np.flatnonzero(branches.contact == i)
+            for which, held in chosen.take(of_contact).by_held():
+                own, closed = of_contact[which], tuple(sorted({*held, *event.closed}))
                 group = chosen.take(own)
                 rows, _ = corrected(group, Hit(t, hit, held, closed), flights, self._considered)
                 just = np.full_like(group.just, bits(hit))
@@ -369,7 +373,7 @@ class ImpactBank:
             return bank
         x = rows.x.copy()
         x[:, self.d :] = np.clip(x[:, self.d :], *self._bounds)
-        best = int(np.argmax(rows.logw))
+        best = rows.best
         found = x[best, self.d :]
         deviations = lengths_of(rows.S[best, self.d :])
         far = np.abs(found - bank.constants) > self.numbers.recentre * deviations
@@ -386,9 +390,8 @@ class ImpactBank:
         """The bank with another delay, at the same stamp: it holds earlier or later."""
         flights, s = self.flights(bank.constants), float(bank.constants[-1] - constants[-1])
         rows, parts, order = bank.rows, [], []
-        for number in np.unique(rows.held).tolist():
-            own = np.flatnonzero(rows.held == number)
-            leg = Leg(bank.t, s, contacts_of(number), bank.intensity)
+        for own, held in rows.by_held():
+            leg = Leg(bank.t, s, held, bank.intensity)
             part = flights.flown(rows.take(own), leg, np.zeros(own.size), np.full(own.size, s))
             parts.append(part)
             order.append(own)
@@ -402,13 +405,9 @@ class ImpactBank:
         """Hypotheses about the replica, ``logw`` together, as uncertain as the motion is large."""
         root = np.diag(self.numbers.restart_deviation * bank.sizes)
         for contact in event.hit:
-            row = flights.gap_rows[contact, : self.d] @ root
-            axis = row / max(float(np.linalg.norm(row)), 1e-300)
-            root = root - np.outer(root @ axis, axis)
-        rows, best = self._begun(replica, root, event.closed), int(np.argmax(bank.rows.logw))
-        just = np.full_like(rows.just, bits(event.hit))
-        notes = objects([bank.rows.notes[best]] * rows.size)
-        rows = rows._replace(logw=rows.logw + logw, just=just, notes=notes)
+            root = _known(flights.gap_rows[contact, : self.d], root)
+        rows = self._begun_anew(bank.rows, replica, root, event.closed, logw)
+        rows = rows._replace(just=np.full_like(rows.just, bits(event.hit)))
         return decided(rows, (event, bank.t), RESTART, [-1.0] * rows.size)
 
     def _bounced(self, x: Vector, hit: Contacts, flights: Flights) -> Vector:
@@ -434,6 +433,12 @@ class ImpactBank:
             amplitude += np.concatenate([q, w * q]) ** 2
             pushed += np.abs(inverse @ (cos - 1j * sin)) ** 2
         return np.sqrt(amplitude), np.sqrt(pushed)
+
+
+def _known(row: Vector, root: Matrix) -> Matrix:
+    """A ``root`` of a covariance where the function of a ``row`` is known exactly."""
+    seen = row @ root
+    return np.asarray(root - np.outer(root @ seen, seen) / max(float(seen @ seen), 1e-300))
 
 
 def _weighted(branches: Branches, log: float) -> Branches:

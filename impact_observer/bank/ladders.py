@@ -31,8 +31,8 @@ class Numbers(NamedTuple):
         farthest: rungs by which a hypothesis moves at most.
         log_leading: how likely a hypothesis is that changes its rungs, beside the likeliest.
         most_kick_error: the largest relative error of an impulse.
-        false_rate: of a contact that only gives false alarms, over the fastest rate.
-        log_restart: of a restart beside false alarms, where an event was not expected.
+        false_rate: of a contact that only gives false positives, over the fastest rate.
+        log_restart: of a restart beside false positives, where an event was not expected.
         restart_deviation: at a restart, over the size of the motion.
         shallow: dips that are not deeper, in deviations, are no missed impacts.
         confident: the depth from which on an impact must have been missed, in deviations.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from impact_observer.bank.bank import Array, Hypotheses, Missed, bits, contacts_of, spread_of
+from impact_observer.bank.bank import Array, Hypotheses, Missed, bits, spread_of
 from impact_observer.bank.dips import Dips, GridValues, dips_of
 from impact_observer.bank.ladders import Ladders, Numbers, triangular
 from impact_observer.bank.notes import with_missed
@@ -23,6 +23,8 @@ from impact_observer.events import Contacts
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
+_GAPS, _LOADS = range(2)
+"""Functions that are followed along flights."""
 _ROUNDING = 1e-13
 """Depth of a dip that is rounding, over the size of the gap."""
 _TABLE = 4096
@@ -139,8 +141,16 @@ class Flights:
         by = np.zeros((*found.shape, beside))
         if self.p:
             by[..., : self.p] = maps.Gamma(x[..., : self.d])
-            found += (by @ (x[..., self.d :] - self.constants)[..., None])[..., 0]
+            found += self.change(by[..., : self.p], x)
         return found, by
+
+    def change(self, by: Array, x: Array) -> Array:
+        """What parameters of states (..., N) change of a function, beside those of the flights.
+
+        ``by`` are its derivatives by the parameters, shape (..., k, p); the change is (..., k).
+        """
+        theta = x[..., self.d : self.d + self.p] - self.constants[: self.p]
+        return np.asarray((by @ theta[..., None])[..., 0])
 
     def moved(self, rows: Hypotheses, leg: Leg) -> Hypotheses:
         """The hypotheses at the end of a ``leg``, with those that impacts were missed.
@@ -154,9 +164,7 @@ class Flights:
         best = -np.inf
         while todo:
             rows, start, left = todo.pop()
-            for number in np.unique(rows.held).tolist():
-                own = np.flatnonzero(rows.held == number)
-                held = contacts_of(number)
+            for own, held in rows.by_held():
                 group = rows.take(own), start[own], leg._replace(held=held)
                 stays, more = self._together(*group, left)
                 if stays is not None:
@@ -319,7 +327,7 @@ class Flights:
         size += np.abs(self.rest)
         just = rows.just[None] >> np.arange(self.m)[:, None] & 1
         g[0] = np.where(just, np.maximum(g[0], 0.0), g[0])
-        ignored = np.array(contacts_of(bits(leg.held)), dtype=np.intp)
+        ignored = np.array(leg.held, dtype=np.intp)
         return dips_of(values._replace(g=g), start, _ROUNDING * size, ignored)
 
     def _values(self, rows: Hypotheses, start: Vector, leg: Leg, kind: int) -> GridValues:
@@ -329,9 +337,9 @@ class Flights:
         step = flow.exponential.step / 2
         step *= 2 ** max(0, int(np.ceil(np.log2(max(length / step / _TABLE, 1e-9)))))
         steps = max(int(np.ceil(length / step)), 1)
-        y = [flow.drive.at(leg.t + each) for each in np.unique(start).tolist()]
-        which = np.unique(start, return_inverse=True)[1].ravel()
-        z = np.hstack([rows.x[:, : self.d], np.array(y)[which]])
+        starts, which = np.unique(start, return_inverse=True)
+        y = np.array([flow.drive.at(leg.t + each) for each in starts.tolist()])
+        z = np.hstack([rows.x[:, : self.d], y[which.ravel()]])
         if flow.drive.is_smooth:
             table = self._table(leg.held, kind, step, 1 << (steps - 1).bit_length())[: steps + 1]
             values = (table @ z.T).reshape(steps + 1, 2, -1, rows.size)
@@ -342,7 +350,7 @@ class Flights:
     def _sampled_values(
         self, z: Matrix, start: Vector, leg: Leg, kind: int, times: Vector
     ) -> Array:
-        """GridValues and slopes where forces have samples or switches."""
+        """Values and slopes where forces have samples or switches."""
         both, drive = self._rows(leg.held, kind), self.tangent.phase(leg.held).flow.drive
         found = np.empty((times.size, *both.shape[:2], len(z)))
         for at in np.unique(start).tolist():
@@ -408,16 +416,8 @@ class Flights:
         late = change[:, :, None] * (self.gap_rows[contact] / slow[:, None])[:, None, :]
         Xi = late + np.pad(jumps.Phi, ((0, 0), (0, 0), (0, late.shape[2] - d)))
         S, B, whole = rows.S.copy(), rows.B, rows.x.copy()
-        if self.p:
-            Xi[:, :, d : d + self.p] += jumps.Gamma
-            whole[:, :d] = (
-                jumps.x
-                + (jumps.Gamma @ (whole[:, d : d + self.p] - self.constants[: self.p])[..., None])[
-                    ..., 0
-                ]
-            )
-        else:
-            whole[:, :d] = jumps.x
+        Xi[:, :, d : d + self.p] += jumps.Gamma
+        whole[:, :d] = jumps.x + self.change(jumps.Gamma, rows.x)
         S[:, :d] = Xi @ S
         if self.ladders.errors.any():
             kick = speed[:, None, None] * self.tangent.impulse(contact)[:, None]
@@ -453,6 +453,3 @@ class Flights:
         B[own] = still.Phi @ B[own]
         bit[own] |= 1 << contact
         return rows._replace(x=whole, S=S, B=B, held=bit)
-
-
-_GAPS, _LOADS = range(2)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.bank.bank import Array, Hypotheses, contacts_of
+from impact_observer.bank.bank import Array, Hypotheses
 from impact_observer.bank.ladders import triangular
 from impact_observer.bank.predict import Flights
 from impact_observer.events import Contacts
@@ -105,8 +105,7 @@ def sampled(
     d, ladders = flights.d, flights.ladders
     value, by = np.empty(rows.size), np.empty(rows.x.shape)
     jump = np.zeros(rows.size)
-    for number in np.unique(rows.held).tolist():
-        own, held = np.flatnonzero(rows.held == number), contacts_of(number)
+    for own, held in rows.by_held():
         value[own], by[own] = sample.function.at(rows.x[own], t, held, flights)
         for contact in range(flights.m):
             if contact in held:

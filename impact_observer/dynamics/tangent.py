@@ -27,7 +27,7 @@ from impact_observer.dynamics.mechanism import Array, Flown
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.events import Contacts
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.stamps import Elapsed
+from impact_observer.stamps import Elapsed, elapsed
 from impact_observer.states import Matrix, Vector
 
 _AT_ONCE = 1 << 22
@@ -168,7 +168,7 @@ class Tangent:
         """
         drive = self.phase(held).flow.drive
         whole = [
-            (k, _elapsed(at), float(each)) for k, (at, each) in enumerate(zip(t, s, strict=True))
+            (k, elapsed(at), float(each)) for k, (at, each) in enumerate(zip(t, s, strict=True))
         ]
         if drive.is_smooth:
             return self._made(whole, held)
@@ -294,7 +294,7 @@ class Tangent:
 
     def _driven(self, t: Sequence[float], held: Contacts) -> Matrix:
         """Return ``y`` at instants, shape (K, e)."""
-        return self.phase(held).flow.drive.at_each([_elapsed(each) for each in t])
+        return self.phase(held).flow.drive.at_each([elapsed(each) for each in t])
 
     def _waves(self, held: Contacts) -> slice:
         """The cosines and sines of the harmonics within ``y``."""
@@ -361,10 +361,6 @@ def _each(function: Callable[[float], object], values: Array) -> Array:
     """Return a function of one number at all ``values``; further axes are those of the results."""
     found = np.array([function(each) for each in values.ravel().tolist()])
     return found.reshape((*values.shape, *found.shape[1:]))
-
-
-def _elapsed(t: float) -> Elapsed:
-    return t if isinstance(t, Elapsed) else Elapsed(0, 0.0) + float(t)
 
 
 def _follow(maps: Maps, k: int, after: Maps) -> None:

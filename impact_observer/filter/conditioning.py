@@ -220,15 +220,6 @@ class Conditioning:
         jump = self._expanded_jump(change, joint)
         return np.column_stack([jump.mean, jump.noise])
 
-    def guard_remainder(self, change: ContactChange, contacts: Contacts, joint: Joint) -> Matrix:
-        """What is not linear in guards at ``joint``: a root of its second moment, (k, any)."""
-        member = self.members.of_estimate(joint)
-        hit = bool(change.hit)
-        rows = member.guard(change.before, contacts, joint.t, joint.x, hit=hit)
-        rates = member.moving.rates_at(joint.t, joint.x, change.before)
-        expansion = rows.expanded(rates, joint.x, member.moving.forces(joint.t))
-        return np.column_stack(product(joint.own, expansion.D, expansion.E))
-
     def neglected(self, member: Member, before: Contacts, x: Vector, t: float) -> Vector:
         """Speeds of all contacts that a plant may neglect to come to rest at ``x``, (m,), m/s.
 

@@ -225,15 +225,6 @@ class Forecast:
         kinds = [Kind.IMPACT if dip[0] < gaps else Kind.OPEN for dip in along]
         return [Dip(contacts[dip[0]], kind, *dip) for dip, kind in zip(along, kinds, strict=True)]
 
-    def first_dip(self, duration: float) -> Dip | None:
-        """The first dip, sought in windows that grow until the dip is over."""
-        window = _FIRST_WINDOW * self._filter.scales.timescale
-        while True:
-            first = next(iter(self.dips(min(window, duration))), None)
-            if window >= duration or (first is not None and first.over):
-                return first
-            window *= 4
-
     def _rounding(self, j: int, s: float) -> float:
         return self._flight.rounding(j, s, self._state.x)
 

@@ -73,13 +73,6 @@ class GaussianState(NamedTuple):
         others = self.differences.ravel()
         return not others.size or math.isfinite(others.dot(others))
 
-    def without_parameters(self) -> "GaussianState":
-        """The same as if the parameters were known."""
-        size, last = self.x.size, self.x.size + self.parameters
-        root, differences = (np.delete(each, slice(size, last), 0) for each in self[2:4])
-        constants = self.constants[self.parameters :]
-        return GaussianState(self.x, constants, root, differences, self.closed)
-
     def with_error(self, added: Matrix) -> "GaussianState":
         """With another error of (q, u), one independent part a column, shape (2n, any)."""
         (d, columns), (size, more) = self.root.shape, added.shape

@@ -196,11 +196,6 @@ class Fit(NamedTuple):
         return _judged(self._replace(is_refuted=is_refuted))
 
     @property
-    def uncontradicted(self) -> "Fit":
-        """The same without contradictions, which a motion that fits all events may explain."""
-        return _judged(self._replace(contradictions=())) if any(self.contradictions) else self
-
-    @property
     def is_in_error(self) -> bool:
         """Whether an error of the model is established, at the latest events in a row."""
         return self.errors >= TUNING.established_events

@@ -110,10 +110,6 @@ class Uncertainty:
         """
         return self.trusts_events and self.unknowns is None
 
-    def differs_only_at_start(self, other: "Uncertainty") -> bool:
-        """Whether both are the same but for the deviation of the initial state."""
-        return all(getattr(self, name) == getattr(other, name) for name in _LIMITED)
-
     def published_covariance(self, root: Matrix, x: Vector, sizes: Vector) -> Matrix:
         """The covariance ``root root^T`` as published: with rounding and errors of the model.
 

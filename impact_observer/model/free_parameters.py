@@ -244,14 +244,6 @@ def harmonic_forces(system: System) -> Iterator[ModelParameter]:
             yield parameter(name, 0.0, _FREE, force, **{part: one})
 
 
-def impact_durations(system: System) -> Iterator[ModelParameter]:
-    """How long an impact of each contact lasts, which models take for no time."""
-    for name, one in zip(system.contact_names, np.eye(system.m), strict=True):
-        bounds = 0.0, _LONGEST
-        own = f"contact-time.{name}"
-        yield _parameter(system, own, 0.0, bounds, _LONGEST, contact_time=one)
-
-
 def impulses_aside(system: System) -> Iterator[ModelParameter]:
     """Impulses that leave the speed of a contact as it is, over the one that stops the contact.
 

@@ -34,7 +34,7 @@ _RANGES = {
 
 
 class NamedSystem(Protocol):
-    """Names of a system or a robot that sensors measure."""
+    """Names of a system or a robot."""
 
     @property
     def name(self) -> str:
@@ -42,7 +42,7 @@ class NamedSystem(Protocol):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates."""
+        """Names of the coordinates, as in ``JointState``."""
 
     @property
     def contact_names(self) -> tuple[str, ...]:

@@ -88,11 +88,11 @@ class Belief(NamedTuple):
         hypotheses: hypotheses of a law that has several, the likeliest first; else empty. The
             estimate is that of the first, the covariance that of the whole mixture.
         fallback: where a law with hypotheses restarts; None for others.
-        behind: when the fallback holds, s since the epoch, and how many seconds ago that was.
         misfit: the warning that the model does not explain the impacts; empty without misfit.
         onset: the state before an impact that has an uncertain instant; the other states are those
             after the jump.
-        bank: the hypotheses of a law that has them as arrays; ``behind`` this belief.
+        bank: the hypotheses of a law that has them as arrays.
+        flown: how many seconds later than the stamp of its ``bank`` the belief holds.
         noted: decisions on the latest events, of a law with a ``bank``.
         clock_deviation: of a stamp, s, of a law with a ``bank``.
         unmeasured: how long ago each coordinate was measured, shape (n,), s, infinite before the
@@ -110,11 +110,11 @@ class Belief(NamedTuple):
     fit: Fit = Fit()
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
-    behind: tuple[float, float] = (0.0, 0.0)
     misfit: str = ""
     onset: Onset | None = None
     unmeasured: Vector | None = None
     bank: Bank | None = None
+    flown: float = 0.0
     noted: tuple[Note, ...] = ()
     clock_deviation: float = 0.0
 

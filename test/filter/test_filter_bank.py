@@ -168,9 +168,6 @@ def checked(watcher: Observer, stamp: int) -> None:
         assert np.all(np.isfinite([each[1:] for each in now.parameters]))
 
 
-CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Kind.OPEN))
-
-
 def test_a_negative_gap_is_explained_by_its_event_after_flights_of_any_length() -> None:
     """A flight that is shorter than the error of a stamp keeps the survival, and its refund."""
     model = chain(1, stiffness=0.0, damping=0.0, contacts=[([1], 0.0, 0.5), ([-1], 9.0, 0.5)])

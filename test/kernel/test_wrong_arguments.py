@@ -68,8 +68,7 @@ def assert_all_tried(printed: str) -> None:
     found = json.loads(printed)
     assert found
     for name, counts in found.items():
-        wrong = sum(counts.values()) - counts.get("returned", 0)
-        assert wrong or not counts, f"{name}: {counts}"
+        assert sum(counts.values()) > counts.get("returned", 0), f"{name}: {counts}"
         assert "accepted NaN" not in counts, f"{name}: {counts}"
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensor's clock steps: all later stamps are off by the same duration."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -9,16 +8,13 @@ import numpy as np
 from systems import EPOCH, run, sample
 
 from impact_observer.events import ImpactEvent
-from impact_observer.observer import make_observer, replay
+from impact_observer.observer import make_observer
 from impact_observer.options import Options
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, from_seconds
-from impact_observer.states import Estimate
 
 STEP = EPOCH + 30 * NS_PER_S
 """When the clock steps."""
-WARNED = STEP + 10 * NS_PER_S
-"""By when the observer has found the step."""
 
 
 @cache
@@ -36,13 +32,6 @@ def stepped(name: str, by: float, jitter: float = 0.0) -> list[ImpactEvent]:
         replace(each, stamp=each.stamp + from_seconds(dt))
         for each, dt in zip(events, late, strict=True)
     ]
-
-
-def found_of(name: str, events: Sequence[ImpactEvent], jitter: float = 0.0) -> list[Estimate]:
-    """Estimates at the samples of the run."""
-    declared = Options(law="minimum-variance", clock_error=jitter or -1.0)
-    made = replay(make_observer(sample(name), declared), events, whole_run(name).stamps)
-    return [each for each in made if isinstance(each, Estimate)]
 
 
 def test_late_events_of_a_stepped_clock_change_nothing() -> None:

@@ -31,7 +31,7 @@ from impact_observer.observer.belief import Belief, Learned, Onset, Parameters, 
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.robot_variance import RobotVariance
 from impact_observer.robots.robot import Robot
-from impact_observer.stamps import Elapsed
+from impact_observer.stamps import Elapsed, elapsed
 from impact_observer.states import Matrix, Vector
 
 _NARROW = 0.05
@@ -112,7 +112,7 @@ class MinimumVariance(Law):
         return self.belief(self.filter.begin(Elapsed(0), replicas[0], root, closed), 0.0)
 
     def belief(self, bank: Bank, s: float) -> Belief:
-        """What is believed ``s`` seconds after the stamp of a bank."""
+        """The belief ``s`` seconds after the stamp of a bank."""
         if s + bank.late:
             x, root = Course(self.filter, bank).estimate(s + bank.late)
         else:
@@ -122,8 +122,7 @@ class MinimumVariance(Law):
     def made(self, bank: Bank, x: Vector, root: Matrix, s: float) -> Belief:
         """The belief of an estimate ``s`` seconds after the stamp of a bank, shape (N,)."""
         size, rows = 2 * self.system.n, bank.rows
-        best = int(np.argmax(rows.logw))
-        misfit = ""
+        best, misfit = rows.best, ""
         if bank.contradicted:
             misfit = CONTRADICTION.format(bank.farthest)
         elif bank.doubted >= _DOUBTED:
@@ -131,11 +130,9 @@ class MinimumVariance(Law):
             misfit = f"{MISFIT}: flights miss by {level:.2g} of the accelerations"
         return Belief(
             Ensemble(x[:size], root[:size]),
-            np.hstack([root[:size], np.diag(2 * bank.sizes)])
-            if bank.contradicted
-            else root[:size],
+            _anywhere(root[:size], bank) if bank.contradicted else root[:size],
             bank=bank,
-            behind=(0.0, s),
+            flown=s,
             clock_offset=float(x[-1]) if self._has_delay else 0.0,
             learned=Learned(lambda: self._learned(bank, x, root)),
             noted=rows.notes[best],
@@ -165,9 +162,9 @@ class MinimumVariance(Law):
         del closed
         bank = posterior.bank
         assert bank is not None, "a belief of this law"
-        if posterior.behind[1]:  # a prior that nothing has corrected
-            bank = self.filter.predicted(bank, posterior.behind[1])
-        return BankPrediction(self, bank._replace(t=_instant(t) + -bank.late))
+        if posterior.flown:  # a prior that nothing has corrected
+            bank = self.filter.predicted(bank, posterior.flown)
+        return BankPrediction(self, bank._replace(t=elapsed(t) + -bank.late))
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
         """Every hypothesis branches, and is weighed."""
@@ -176,8 +173,8 @@ class MinimumVariance(Law):
         delay = float(bank.constants[-1]) if self._has_delay else 0.0
         if change.contacts:
             delay += float(self._latency[change.contacts[0]])
-        t = _instant(change.t) + -delay
-        if bank.rows.past.any() or prior.behind[1]:
+        t = elapsed(change.t) + -delay
+        if bank.rows.past.any() or prior.flown:
             bank = self.filter.predicted(bank, t - bank.t, change.hit)
         stay = tuple(i for i in change.hit if i in change.closed)
         opened = tuple(i for i in change.before if i not in change.closed)
@@ -197,7 +194,7 @@ class MinimumVariance(Law):
         """Every hypothesis is corrected and weighed."""
         bank, sensor = prior.bank, reading.sensor
         assert bank is not None, "a belief of this law"
-        t = _instant(reading.t)
+        t = elapsed(reading.t)
         bank = self.filter.predicted(bank, t - bank.t)._replace(t=t, late=0.0)
         function = Function(*sensor.function)
         shift = float(sensor.shifts(np.array([reading.instant]))[0])
@@ -219,7 +216,7 @@ class MinimumVariance(Law):
         bank = (after or before).bank
         assert prior is not None, "a belief of this law"
         assert bank is not None, "a belief of this law"
-        best = bank.rows.take([int(np.argmax(bank.rows.logw))])
+        best = bank.rows.take([bank.rows.best])
         rows = filter_.predicted(prior, change.flown + prior.late, change.hit).rows
         event = change.stamp, change.sequence
         inserted = sum(n.is_inserted and n.event == event for n in best.notes[0]) if after else 0
@@ -229,7 +226,7 @@ class MinimumVariance(Law):
         row = best._replace(x=x[None], S=root[None], B=np.zeros_like(best.B))
         late = 0.0 if after is None else bank.late
         held = tuple(i for i in change.before if i not in change.hit)
-        hit = Hit(_instant(change.t) + -late, change.hit, held, held)
+        hit = Hit(elapsed(change.t) + -late, change.hit, held, held)
         least = self.uncertainty.least_deviations(x[: 2 * self.system.n], bank.sizes)
         return filter_.balance(row, hit, least, prior.constants, inserted=after is None)
 
@@ -266,8 +263,8 @@ class BankPrediction(Prediction):
 
     def root(self, s: float) -> Matrix:
         root = self._course.estimate(s + self._bank.late)[1][: self._size]
-        anywhere = self._bank.contradicted or self.silence(s)
-        return np.hstack([root, np.diag(2 * self._bank.sizes)]) if anywhere else root
+        lost = self._bank.contradicted or self.silence(s)
+        return _anywhere(root, self._bank) if lost else root
 
     def closed(self, s: float) -> Contacts:
         return self._course.closed(s + self._bank.late)
@@ -283,6 +280,6 @@ class BankPrediction(Prediction):
         return f"a predicted impact was {SILENCE}" if is_inside else ""
 
 
-def _instant(t: float) -> Elapsed:
-    """A time, s since the epoch, with its rounding error where that is known."""
-    return t if isinstance(t, Elapsed) else Elapsed(0) + float(t)
+def _anywhere(root: Matrix, bank: Bank) -> Matrix:
+    """A ``root`` of the covariance of a plant that may also be anywhere within its motion."""
+    return np.hstack([root, np.diag(2 * bank.sizes)])

@@ -13,7 +13,6 @@ from scipy import linalg
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Ruling
-from impact_observer.filter.branching import LogPriors
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.filter_bank import RESTART, FilterBank
 from impact_observer.filter.gaussian_state import GaussianState
@@ -249,11 +248,6 @@ class RobotVariance(Law):
     def filter(self) -> ImpactFilter:
         """Predicts and corrects one state."""
         return self._bank.filter
-
-    @property
-    def log_priors(self) -> LogPriors:
-        """What is assumed of any event."""
-        return self._bank.branching.priors
 
     def prior(self, x: Vector, root: Matrix) -> GaussianState:
         """What is declared of a start at ``x`` = (q, u) with a root of its covariance."""
