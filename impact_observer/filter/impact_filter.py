@@ -18,7 +18,6 @@ from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.members import Member
 from impact_observer.filter.process_noise import with_noise
 from impact_observer.filter.resting import rested
-from impact_observer.filter.robot_family import family_of
 from impact_observer.filter.robot_members import members_of
 from impact_observer.filter.square_root import (
     correction,
@@ -34,6 +33,7 @@ from impact_observer.kernel._kernel import (
 from impact_observer.model import System
 from impact_observer.model.system import refuse_squares
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_family import family_of
 from impact_observer.states import Matrix, Vector
 
 _LEAST_EXTENT = 1e-9

@@ -7,7 +7,7 @@ restitutions may be considered.
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -17,70 +17,20 @@ from impact_observer.dynamics import KEPT
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.members import LARGEST, Member, Members, MotionSensitivity
-from impact_observer.filter.robot_family import RobotFamily
 from impact_observer.filter.robot_motion import RobotMotion, RobotRates
 from impact_observer.filter.saltation import Expansion, Measured, Mirror, RestProjection
 from impact_observer.kernel._kernel import Parameters
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.robot_description import DAMPING, RESTITUTION
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_family import RobotFamily
 from impact_observer.robots.robot_parameters import loads_by_parameters, rates_by_parameters
+from impact_observer.robots.tangent_robot import tangent
 from impact_observer.states import Matrix, Vector
 
 _KEPT_STATES = 4
 """States at which a robot is kept: those of an estimate and of its hypotheses."""
-
-
-class TangentRobot:
-    """A robot at one state: gaps and speeds are linear near it.
-
-    Attributes:
-        n: number of coordinates.
-        m: number of contacts.
-        W: gradients of the gaps, shape (n, m).
-        q_r: gaps where all coordinates are zero, linearly, shape (m,), m.
-        eps: nominal restitution coefficients, shape (m,).
-        rebounds: how the contacts rebound.
-    """
-
-    def __init__(self, robot: Robot, x: Vector) -> None:
-        """The ``robot`` at the state ``x``, shape (2n,)."""
-        self.n, self.m = robot.n, robot.m
-        self._robot, self._q = robot, x[: self.n]
-        gaps, self.W = robot.gaps_and_directions(self._q)
-        self.q_r = gaps - self._q @ self.W
-        self.eps = robot.eps
-        self.rebounds: tuple[ReboundLaw, ...] = robot.rebounds
-
-    @cached_property
-    def M(self) -> Matrix:  # noqa: N802 (as of a system)
-        """The mass matrix, shape (n, n)."""
-        return self._robot.mass(self._q)
-
-    @property
-    def K(self) -> Matrix:  # noqa: N802
-        """The stiffness that makes V a distance: the mass matrix over 1 s^2, shape (n, n)."""
-        return self.M
-
-    def gap(self, q: Vector) -> Vector:
-        """Gaps near the state, shape (m,), m."""
-        return np.asarray(q @ self.W + self.q_r)
-
-    def contact_speed(self, u: Vector) -> Vector:
-        """Contact speeds near the state, shape (m,), m/s."""
-        return np.asarray(u @ self.W)
-
-
-def tangent(robot: Robot, x: Vector) -> System:
-    """A ``robot`` at a state, shape (2n,), in the place of a linear system."""
-    return cast(System, TangentRobot(robot, x))
-
-
-def at_zero(system: System | Robot) -> System:
-    """A linear system, or a robot where its coordinates are zero."""
-    return tangent(system, np.zeros(2 * system.n)) if isinstance(system, Robot) else system
 
 
 class RobotGaps(Measured):

@@ -8,7 +8,6 @@ from typing import cast
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.filter.robot_family import RobotFamily
 from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty, deviation_of
 from impact_observer.filter.unknown_parameters import UnknownParameters
@@ -23,6 +22,7 @@ from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot, connected_robot, observed
+from impact_observer.robots.robot_family import RobotFamily
 from impact_observer.states import Vector
 
 

@@ -20,12 +20,12 @@ from impact_observer.events import Ruling
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.hypotheses import agreeing, mixture
-from impact_observer.filter.robot_members import at_zero
 from impact_observer.filter.robot_motion import scales_of
 from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.tangent_robot import at_zero
 from impact_observer.states import Matrix, Vector
 
 AGREED = 1e-4

@@ -13,12 +13,12 @@ from robot_runs import EPOCH, Truth, observer_of
 
 from impact_observer.cli.main import main
 from impact_observer.filter.readings import Place, RobotSensor
-from impact_observer.filter.robot_family import RobotFamily
 from impact_observer.filter.robot_members import RobotMembers
 from impact_observer.model import Model, parse_model, read_model
 from impact_observer.model.measurements_file import parse_measurements
 from impact_observer.plant.random_parameters import random_plant
 from impact_observer.robots import Robot
+from impact_observer.robots.robot_family import RobotFamily
 
 DEVIATIONS = {
     "damping.shoulder": 0.1,

@@ -22,12 +22,12 @@ from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.readings import Place, Reading, SampleOutcome
-from impact_observer.filter.robot_members import tangent
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.replica_law import OwnMotions
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.tangent_robot import tangent
 from impact_observer.robots.velocity_observer import MARGIN, certified_gain
 from impact_observer.states import Matrix, Vector
 
