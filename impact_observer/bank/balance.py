@@ -34,29 +34,28 @@ def balance_of(
         ImpactLawError: the impact law has no solution.
     """
     _, stamped = corrected(row, hit, flights, considered)
-    d, p, tangent = flights.d, flights.p, flights.tangent
-    back = tangent.flights([hit.t], -stamped.v, hit.held)
-    own, by = flights.images(back, stamped.x)
-    root, rate = stamped.root[0], tangent.rates([hit.t + -float(stamped.v[0])], own, hit.held)[0]
-    errors = back.Phi[0] @ root[:d] + by[0] @ root[d:-1] - np.outer(rate[0], root[-1])
+    d, p, mechanism = flights.d, flights.p, flights.mechanism
+    back = flights.images([hit.t], stamped.x, -stamped.v, hit.held)
+    root, own = stamped.root[0], back.x[0]
+    rate = mechanism.rates([hit.t + -float(stamped.v[0])], back.x, hit.held)[0]
+    errors = back.Phi[0] @ root[:d] + back.Gamma[0] @ root[d:-1] - np.outer(rate, root[-1])
     errors = np.hstack([errors, np.diag(least)])
     active = tuple(sorted({*hit.held, *hit.contacts}))
-    W = flights.speed_rows[list(active)]
-    gamma, theta = W @ own[0], stamped.x[0, d : d + p]
-    towards = gamma[[active.index(i) for i in hit.contacts]]
-    pressed = tangent.newton.pressed(active, hit.contacts, towards)
+    gaps = mechanism.gaps(own)
+    gamma, theta = gaps.gamma[list(active)], stamped.x[0, d : d + p]
+    pressed = mechanism.pressed(own, active, hit.contacts)
     rows = [active.index(i) for i in hit.contacts]
 
     def values(z: Vector) -> Array:
-        system = tangent.system if not p else tangent.family.near(z[2 * len(active) :])
+        system = mechanism.near(own, z[2 * len(active) :])
         beside = z[len(active) : 2 * len(active)][[active.index(i) for i in pressed]]
         found: Array = impact_balance(system, active, pressed, z[: len(active)], beside)[rows]
         return found
 
-    size = min(float(flights.ladders.errors[row.r[0]]), flights.numbers.most_kick_error)
-    kicks = np.diag(size * np.abs(gamma))
+    kicks = np.diag(float(flights.ladders.kicks[row.r[0]]) * np.abs(gamma))
     wide = np.zeros((2 * len(active) + p, errors.shape[1] + len(active)))
-    wide[: len(active), : errors.shape[1]] = W @ errors
+    W = gaps.W[list(active)]
+    wide[: len(active), : errors.shape[1]] = W @ errors[d // 2 :]
     wide[len(active) : 2 * len(active), errors.shape[1] :] = kicks
     wide[2 * len(active) :, : root.shape[1]] = root[d : d + p]
     z = np.concatenate([gamma, np.zeros(len(active)), theta])

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.bank.ladders import Ladders, lengths_of, triangular
+from impact_observer.bank.ladders import Ladders
 from impact_observer.events import Contacts
+from impact_observer.square_roots import lengths_of, triangular
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
@@ -84,11 +85,13 @@ class Hypotheses(NamedTuple):
 
     def by_held(self) -> Iterator[tuple[NDArray[np.intp], Contacts]]:
         """Indices of the hypotheses with the same closed contacts, and these contacts."""
-        for number in np.unique(self.held).tolist():
+        for number in sorted({*self.held.tolist()}):
             yield np.flatnonzero(self.held == number), contacts_of(number)
 
     def shown(self, unpublished: float) -> "Hypotheses":
         """The likeliest first, without the least likely ones, ``unpublished`` together."""
+        if self.size == 1:
+            return self
         order = np.argsort(-self.logw)
         kept = 1 + int(np.searchsorted(np.cumsum(self.weights[order]), 1 - unpublished))
         return self.take(order[:kept])

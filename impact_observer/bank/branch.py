@@ -107,20 +107,18 @@ def _moments(
 ) -> tuple[Vector, ...]:
     """Mean and variance of a gap and of its speed, and their covariance, one of each rung."""
     ladders, d, (h, r, c) = flights.ladders, flights.d, rungs
-    w, u = flights.gap_rows[contact], flights.speed_rows[contact]
-    x = rows.x[:, :d]
-    g, v = flights.gap(contact, x, rows.x[:, d:]), x @ u
-    by_state = np.tile(w, (rows.size, 1))
-    if w.size > d + flights.p:  # the gap before the stamp by the delay
+    g, by_state, v, along = flights.guard(contact, rows.x)
+    if rows.x.shape[1] > d + flights.p:  # the gap before the stamp by the delay
         by_state[:, -1] -= v
         g = g - v * (rows.x[:, -1] - flights.constants[-1])
-    gS, vS = np.einsum("hi,hik->hk", by_state, rows.S), u @ rows.S[:, :d]
-    gB, vB = w[:d] @ rows.B, u @ rows.B
+    gS = np.einsum("hi,hik->hk", by_state, rows.S)
+    vS = np.einsum("hi,hik->hk", along, rows.S[:, :d])
+    gB, vB = (np.einsum("hi,hik->hk", each, rows.B) for each in (by_state[:, :d], along))
     square = ladders.errors[r] ** 2
     gg = np.sum(gS * gS, axis=1)[h] + square * np.sum(gB * gB, axis=1)[h]
     gv = np.sum(gS * vS, axis=1)[h] + square * np.sum(gB * vB, axis=1)[h]
     vv = np.sum(vS * vS, axis=1)[h] + square * np.sum(vB * vB, axis=1)[h]
-    least = _LEAST_GAP * np.sum(np.abs(x), axis=1)[h]
+    least = _LEAST_GAP * np.sum(np.abs(rows.x[:, :d]), axis=1)[h]
     gg += flights.clock(contact, c) ** 2 * (v[h] ** 2 + vv) + least**2
     return g[h], gg, v[h], vv, gv
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.bank.bank import Array, Hypotheses
-from impact_observer.bank.ladders import lengths_of, triangular
 from impact_observer.bank.predict import Flights
 from impact_observer.events import Contacts
+from impact_observer.square_roots import lengths_of, triangular
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Vector
 
@@ -101,25 +101,25 @@ def _measured(
 ) -> Stamped:
     """The states whose gap of a ``contact`` is zero ``v`` before the stamp."""
     (H, N), d = prior.x.shape, flights.d
-    w, u = flights.gap_rows[contact], flights.speed_rows[contact]
     root, x, v = prior.root, prior.x, prior.v
     # the product of an error of the speed and an error of the stamp
-    noise = lengths_of(u @ root[:, :d]) * lengths_of(root[:, N])
+    along = flights.guard(contact, x).along
+    noise = lengths_of(np.einsum("hi,hik->hk", along, root[:, :d])) * lengths_of(root[:, N])
     noise += 1e-16 * np.sum(np.abs(x[:, :d]), axis=1)
     farthest = _FARTHEST / flights.rate  # damped motions overflow backwards in time
-    samples = flights.tangent.system.forcing.sampled
+    samples = flights.mechanism.system.forcing.sampled
     known = np.inf if samples is None else float(hit.t) - float(samples.time[0])
     earliest = max(min(farthest, known), 0.0)
     row, gain = np.zeros((H, root.shape[2])), np.zeros((H, N + 1))
     for _ in range(_ITERATIONS):
-        maps = flights.tangent.flights([hit.t] * H, -v, hit.held)
-        own, by = flights.images(maps, x)
-        by_x, by_v = np.tile(w, (H, 1)), -own @ u
-        by_x[:, :d] = w[:d] @ maps.Phi
-        by_x[:, d:] += w[:d] @ by
+        back = flights.images([hit.t] * H, x, -v, hit.held)
+        guard = flights.guard(contact, np.hstack([back.x, x[:, d:]]))
+        by_x, by_v, by_own = guard.by, -guard.gamma, guard.by[:, None, :d].copy()
+        by_x[:, :d] = (by_own @ back.Phi)[:, 0]
+        by_x[:, d:] += (by_own @ back.Gamma)[:, 0]
         row = np.einsum("hi,hik->hk", by_x, root[:, :N]) + by_v[:, None] * root[:, N]
         row[:, -1] = noise
-        residual = flights.gap(contact, own, x[:, d:])
+        residual = guard.g.copy()
         residual += np.einsum("hi,hi->h", by_x, prior.x - x) + by_v * (prior.v - v)
         gain = np.einsum("hik,hk->hi", root, row) / np.sum(row * row, axis=1)[:, None]
         gain[:, considered] = 0.0
@@ -136,32 +136,32 @@ def _measured(
 def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> Hypotheses:
     """States at the stamp after a jump ``v`` before it."""
     x, v, root = stamped
-    (H, N), d, p, tangent = x.shape, flights.d, flights.p, flights.tangent
-    back = tangent.flights([hit.t] * H, -v, hit.held)
-    forth = tangent.flights([hit.t + -each for each in v.tolist()], v, hit.closed)
-    own, by_constants = flights.images(back, x)
+    (H, N), d, p, mechanism = x.shape, flights.d, flights.p, flights.mechanism
+    back = flights.images([hit.t] * H, x, -v, hit.held)
     after = x.copy()
-    after[:, :d], jump, by_jump = _pressed(own, x, hit, flights)
+    after[:, :d], jump, by_jump = _pressed(back.x, x, hit, flights)
+    times = [hit.t + -each for each in v.tolist()]
+    forth = flights.images(times, after, v, hit.closed)
     whole = x.copy()
-    whole[:, :d], by = flights.images(forth, after)
+    whole[:, :d] = forth.x
     by_x = forth.Phi @ jump @ back.Phi
     S = root[:, :N].copy()
     S[:, :d] = by_x @ root[:, :d]
     if p:
-        by = by + forth.Phi @ (jump @ by_constants)
+        by = forth.Gamma + forth.Phi @ (jump @ back.Gamma)
         by[:, :, :p] += forth.Phi @ by_jump
         S[:, :d] += by @ root[:, d:N]
-    later = tangent.rates([hit.t], whole[:, :d], hit.closed)[0]
-    before = tangent.rates([hit.t], x[:, :d], hit.held)[0]
+    later = mechanism.rates([hit.t], whole[:, :d], hit.closed)
+    before = mechanism.rates([hit.t], x[:, :d], hit.held)
     by_v = later - (by_x @ before[..., None])[..., 0]
     S[:, :d] += by_v[:, :, None] * root[:, N:]
-    most = flights.numbers.most_kick_error
-    error = np.minimum(flights.ladders.errors[rows.r], most)
+    error = flights.ladders.kicks[rows.r]
     if error.any() and not hit.closed:
         kicks = np.zeros((H, N, len(hit.contacts)))
         for k, contact in enumerate(hit.contacts):
-            gamma = error * (own @ flights.speed_rows[contact])
-            kicks[:, :d, k] = gamma[:, None] * tangent.impulse(contact)
+            gamma = error * mechanism.gaps(back.x).gamma[:, contact]
+            stops = mechanism.stops(back.x, (contact,))[:, :, 0]
+            kicks[:, d // 2 : d, k] = gamma[:, None] * stops
         S = np.concatenate([S, kicks], axis=2)
     rounding = np.zeros((H, N, d))
     sizes = np.abs(whole[:, :d]).reshape(H, 2, -1).max(axis=2)
@@ -183,23 +183,22 @@ def _pressed(own: Array, x: Array, hit: Hit, flights: Flights) -> tuple[Array, A
     Returns:
         Shapes (H, d), (H, d, d) by the states, (H, d, p) by the parameters.
     """
-    tangent, d, n = flights.tangent, flights.d, flights.d // 2
+    mechanism, d = flights.mechanism, flights.d
     active = tuple(sorted({*hit.held, *hit.contacts}))
     groups: dict[Contacts, list[int]] = {}
     if len(active) == 1:
         groups[active] = [*range(len(own))]
     else:
-        W = tangent.system.W[:, list(hit.contacts)]
-        for h, gamma in enumerate(own[:, n:] @ W):
-            taking = {*tangent.newton.pressed(active, hit.contacts, gamma)}
+        for h, each in enumerate(own):
+            taking = {*mechanism.pressed(each, active, hit.contacts)}
             taking |= {*hit.held} & {*hit.closed}
             groups.setdefault(tuple(sorted(taking)), []).append(h)
     y, Phi = np.empty_like(own), np.empty((*own.shape, d))
     Gamma = np.zeros((*own.shape, flights.p))
     for pressed, which in groups.items():
-        jumps = tangent.impact(own[which], pressed)
+        jumps = mechanism.impact(own[which], pressed)
         if hit.closed:
-            still = tangent.rest(jumps.x, hit.closed)
+            still = mechanism.rest(jumps.x, hit.closed)
             Gamma[which] = still.Phi @ jumps.Gamma + still.Gamma
             y[which], Phi[which] = still.x, still.Phi @ jumps.Phi
         else:

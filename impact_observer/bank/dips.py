@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.dynamics.guard_values import GuardValues
 from impact_observer.states import Vector
 
 Array = NDArray[np.float64]
@@ -36,34 +37,8 @@ class Dips(NamedTuple):
     was_before: NDArray[np.bool_]
 
 
-class GridValues(NamedTuple):
-    """GridValues and slopes of functions at the ends of steps.
-
-    Attributes:
-        g: values, shape (steps + 1, m, H).
-        v: slopes, 1/s, the same shape.
-        ends: of the steps, s since the start of each hypothesis, shape (steps + 1, H).
-    """
-
-    g: Array
-    v: Array
-    ends: Array
-
-    @classmethod
-    def to_the_end(cls, g: Array, v: Array, step: float, length: Vector) -> "GridValues":
-        """Values on steps of equal length; the last of each hypothesis ends at its ``length``."""
-        steps = len(g) - 1
-        ends = np.minimum(np.arange(steps + 1)[:, None] * step, length)
-        last = np.minimum((length / step).astype(int), steps - 1)
-        part = (length - last * step) / step
-        each, both = np.arange(g.shape[2]), np.stack([last, last + 1])
-        g_end, v_end = _cubic(g[both, :, each], v[both, :, each], step, part[:, None])
-        beyond = np.arange(steps + 1)[:, None, None] > last
-        return cls(np.where(beyond, g_end.T, g), np.where(beyond, v_end.T, v), ends)
-
-
 def dips_of(
-    values: GridValues, start: Vector, rounding: Vector, ignored: NDArray[np.intp]
+    values: GuardValues, start: Vector, rounding: Vector, ignored: NDArray[np.intp]
 ) -> Dips | None:
     """The dips that are deeper than ``rounding``, shape (m,); None without one.
 
@@ -103,18 +78,10 @@ def dips_of(
     return Dips(h, contact, bounds + own[:, None], when + own, gaps, over, before)
 
 
-def _cubic(ends: Array, slopes: Array, step: float, part: Array) -> tuple[Array, Array]:
-    """Value and slope at a ``part`` of a step, of cubics through both ends, shape (2, ...)."""
-    (g0, g1), (a, b) = ends, slopes * step
-    second, third = 3 * (g1 - g0) - 2 * a - b, 2 * (g0 - g1) + a + b
-    value = g0 + part * (a + part * (second + part * third))
-    return value, (a + part * (2 * second + 3 * part * third)) / step
-
-
 def _lowest(g: Array, v: Array, T: Array) -> tuple[Array, Array]:
     """Lowest values of cubics in steps of length ``T``, and when, s after the start of a step.
 
-    GridValues ``g`` and slopes ``v`` at the ends of steps have shape (steps + 1, m, H).
+    Values ``g`` and slopes ``v`` at the ends of steps have shape (steps + 1, m, H).
     """
     g0, g1, v0, v1 = g[:-1], g[1:], v[:-1], v[1:]
     low, at = np.minimum(g0, g1), np.where(g0 < g1, 0.0, T)

@@ -24,22 +24,16 @@ from impact_observer.bank.bank import (
 )
 from impact_observer.bank.branch import Branches, Priors, impacts
 from impact_observer.bank.correct import Hit, corrected
-from impact_observer.bank.ladders import (
-    NUMBERS,
-    ROUNDING,
-    Ladders,
-    Numbers,
-    lengths_of,
-    triangular,
-)
+from impact_observer.bank.ladders import NUMBERS, ROUNDING, Ladders, Numbers
 from impact_observer.bank.merge import merged, most_of
 from impact_observer.bank.notes import Event, decided
 from impact_observer.bank.predict import Flights, Leg, Reports
 from impact_observer.bank.sample_correction import LinearSample, Sampled, sampled
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance
-from impact_observer.dynamics.tangent import Tangent
+from impact_observer.dynamics.mechanism import mechanism_near
 from impact_observer.events import Contacts
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.square_roots import lengths_of, triangular
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
@@ -91,12 +85,11 @@ class ImpactBank:
         system = family.system
         self.n, self.m, self.d = system.n, system.m, 2 * system.n
         self.names = system.contact_names
+        mechanism = mechanism_near(family, np.array(family.nominal))
         error = declared.error
-        self.ladders = Ladders.of(
-            declared.clock, None if error is None else float(error > 0), numbers
-        )
-        if error is not None:  # impulses are exact
-            self.numbers = numbers = numbers._replace(most_kick_error=0.0)
+        level = None if error is None else float(error > 0 or mechanism.is_noisy)
+        self.ladders = Ladders.of(declared.clock, level, numbers, has_encoders=system.has_encoders)
+        self.rate = mechanism.rate
         missed = np.broadcast_to(np.asarray(declared.missed, dtype=float), self.m)
         with np.errstate(divide="ignore"):
             self.log_missed = np.log(missed)
@@ -108,14 +101,11 @@ class ImpactBank:
         self._bounds = np.full((2, self.nominal.size), np.array([[-np.inf], [np.inf]]))
         self._bounds[:, : family.size] = family.bounds
         self._flights = lru_cache(4)(self._flights_of)
-        first = self.flights(self.nominal)
-        self.rate = first.rate
         self.priors = Priors.of(
             declared.spurious, declared.mislabelled, self.m, self.rate, numbers
         )
-        self._size, self._pushed = self._forced()
-        exponential = first.tangent.phase(()).flow.exponential
-        self._A = exponential.A[self.n : self.d, : self.d]
+        self._A = mechanism.rate_slopes([0.0], np.zeros((1, self.d)), ())[0][0, self.n :]
+        self._size, self._pushed = mechanism.forced()
         self.scan = numbers.scan * self.n
         missed_none = bool(np.all(self.log_missed == -math.inf))
         self._is_trusted = missed_none and self.priors.spurious == -math.inf
@@ -126,30 +116,25 @@ class ImpactBank:
 
     def _flights_of(self, constants: tuple[float, ...]) -> Flights:
         given, size = np.array(constants), self.family.size
-        tangent = Tangent(self.family, given[:size])
+        mechanism = mechanism_near(self.family, given[:size])
         reports = Reports(self.log_missed, self._own_clocks)
-        return Flights(tangent, given, self.ladders, self.numbers, reports)
+        return Flights(mechanism, given, self.ladders, self.numbers, reports)
 
     def begin(self, t: Elapsed, x: Vector, root: Matrix, held: Contacts = ()) -> Bank:
         """The bank at a start: (q, u), shape (2n,), with a root of its covariance, (2n, 2n)."""
         deviations = lengths_of(root) + _SMALL
-        for row, rest in self._held_rows(held):  # gaps and speeds are zero
-            seen = row @ root
-            x = x - root @ seen * ((row @ x + rest) / max(float(seen @ seen), 1e-300))
-            root = _known(row, root)
+        flights = self.flights(self.nominal)
+        for i in held:
+            for is_gap in (True, False):  # gaps and speeds are zero
+                guard = flights.guard(i, np.concatenate([x, self.nominal])[None])
+                row, value = (guard.by, guard.g) if is_gap else (guard.along, guard.gamma)
+                seen = row[0, : self.d] @ root
+                x = x - root @ seen * (float(value[0]) / max(float(seen @ seen), 1e-300))
+                root = _known(row[0, : self.d], root)
         rows = self._begun(x, root, held)
         never = np.full(self.m, -np.inf)
         size = np.where(self._size > _SMALL, self._size, deviations)
         return Bank(t, rows, x.copy(), size**2 / 2, self._intensity(size), self.nominal, never)
-
-    def _held_rows(self, held: Contacts) -> list[tuple[Vector, float]]:
-        """Rows of (q, u) and constants whose functions are zero on contacts that rest."""
-        flights = self.flights(self.nominal)
-        found = []
-        for i in held:
-            rest = float(flights.rest[i] + flights.gap_rows[i, self.d :] @ self.nominal)
-            found += [(flights.gap_rows[i, : self.d], rest), (flights.speed_rows[i], 0.0)]
-        return found
 
     def _intensity(self, sizes: Vector) -> tuple[float, ...]:
         """Of the accelerations of a motion of some size, to a factor of two, or as declared."""
@@ -195,11 +180,15 @@ class ImpactBank:
         flights = self.flights(bank.constants)
         leg = Leg(bank.t, s, (), bank.intensity, named, self.deaf(bank, bank.t))
         rows = flights.moved(bank.rows, leg)
-        middle, replica = flights.tangent.flights([bank.t] * 2, np.array([s / 2, s]), ()).of(
-            bank.replica
-        )
-        forget = 1 - self.numbers.forgetting
-        squares = (1 - forget) * bank.squares + forget * (middle**2 + replica**2) / 2
+        replica = rows.x[rows.best, : self.d]
+        middle = replica
+        if not self.family.system.has_encoders:
+            half = np.array([s / 2, s])
+            replicas = np.tile(bank.replica, (2, 1))
+            middle, replica = flights.mechanism.flown([bank.t] * 2, replicas, half, ()).x
+        # flights shorter than the fastest period, as between samples, count less
+        kept = self.numbers.forgetting ** min(s * self.rate / (2 * math.pi), 1.0)
+        squares = kept * bank.squares + (1 - kept) * (middle**2 + replica**2) / 2
         squares = np.minimum(squares, 4 * bank.squares)
         intensity = self._intensity(np.sqrt(2 * squares))
         return bank._replace(
@@ -261,7 +250,7 @@ class ImpactBank:
             if order.size:
                 stays = rows.take(order)._replace(logw=logw[order])
                 found.append(decided(stays, (event, bank.t), kind, sizes[order].tolist()))
-        replica = self._bounced(bank.replica, event.hit, flights)
+        replica = flights.mechanism.struck(bank.replica, event.hit)
         farthest = float(z[rows.best])
         is_expected = evidence - before >= math.log(self.rate) or self._trusts(farthest)
         if not (found and is_expected):
@@ -271,7 +260,7 @@ class ImpactBank:
         rows = rows._replace(held=rows.held & ~bits(event.opened))
         reported = bank.reported.copy()
         reported[list(event.hit)] = bank.t
-        doubted = bank.doubted + 1 if self._is_in_error(rows) else 0
+        doubted = bank.doubted + 1 if self._is_in_error(bank.rows) else 0
         bank = bank._replace(rows=rows, replica=replica, reported=reported, doubted=doubted)
         if self._is_trusted and not self._trusts(farthest):
             bank = bank._replace(contradicted=numbers.remembered, farthest=farthest)
@@ -298,12 +287,14 @@ class ImpactBank:
             weight = float(rows.logw.max()) + self.numbers.log_restart
             rows = Hypotheses.joined([rows, self._begun_anew(rows, x, root, held, weight)])
         found = sampled(rows, sample, bank.t, flights, self._considered)
-        order = np.argsort(-found.rows.logw)
-        logw = found.rows.logw[order]
-        order = order[logw > logw[0] + self.numbers.log_kept]
-        found = Sampled(found.rows.take(order), found.innovation[order], found.z[order])
+        if found.rows.size > 1:
+            order = np.argsort(-found.rows.logw)
+            logw = found.rows.logw[order]
+            order = order[logw > logw[0] + self.numbers.log_kept]
+            found = Sampled(found.rows.take(order), found.innovation[order], found.z[order])
         rows = found.rows
-        if rows.size > most_of(self.numbers, rows.x.shape[1]):
+        most = most_of(self.numbers, rows.x.shape[1]) if self.ladders.is_learned else 1
+        if rows.size > most:
             rows = merged(rows, self.ladders, self.numbers, self.scan)
         rows = rows._replace(logw=rows.logw - np.logaddexp.reduce(rows.logw))
         return self._recentred(bank._replace(rows=rows)), found
@@ -323,8 +314,8 @@ class ImpactBank:
 
     def _is_in_error(self, rows: Hypotheses) -> bool:
         """Whether the model is almost surely in error, which nothing declares."""
-        exact = rows.weights @ (self.ladders.errors[rows.r] < self.numbers.least_error)
-        return bool(self.ladders.errors.size > 1 and exact < self.numbers.exact)
+        exact = rows.weights @ (self.ladders.kicks[rows.r] < self.numbers.least_error)
+        return bool(exact < self.numbers.exact)
 
     def _true(
         self, rows: Hypotheses, event: Event, flights: Flights, resting: NDArray[np.bool_]
@@ -404,35 +395,12 @@ class ImpactBank:
     ) -> Hypotheses:
         """Hypotheses about the replica, ``logw`` together, as uncertain as the motion is large."""
         root = np.diag(self.numbers.restart_deviation * bank.sizes)
+        whole = np.concatenate([replica, self.nominal])[None]
         for contact in event.hit:
-            root = _known(flights.gap_rows[contact, : self.d], root)
+            root = _known(flights.guard(contact, whole).by[0, : self.d], root)
         rows = self._begun_anew(bank.rows, replica, root, event.closed, logw)
         rows = rows._replace(just=np.full_like(rows.just, bits(event.hit)))
         return decided(rows, (event, bank.t), RESTART, [-1.0] * rows.size)
-
-    def _bounced(self, x: Vector, hit: Contacts, flights: Flights) -> Vector:
-        """A geometric replica after an impact."""
-        n, tangent = self.n, flights.tangent
-        q = tangent.phases.projection.position_after(x[:n], hit)
-        return np.concatenate([q, tangent.newton.velocity_after(x[n:], hit)])
-
-    def _forced(self) -> tuple[Vector, Vector]:
-        """Size of the motion that the forces give without contacts, and of their accelerations.
-
-        Returns:
-            Shapes (2n,) and (n,); zero where nothing holds the bodies.
-        """
-        system, n = self.family.system, self.n
-        forcing, inverse = system.forcing, np.linalg.inv(system.M)
-        amplitude, pushed = np.zeros(2 * n), (inverse @ forcing.constant) ** 2
-        amplitude[:n] += (np.linalg.pinv(system.K, 1e-9, hermitian=True) @ forcing.constant) ** 2
-        soft = system.K + 1e-6 * np.trace(system.K) / n * np.eye(n) + _SMALL * system.M
-        for w, cos, sin in zip(forcing.frequency, forcing.cosine, forcing.sine, strict=True):
-            dynamic = soft - w**2 * system.M + 1j * w * system.C
-            q = np.abs(linalg.solve(dynamic, cos - 1j * sin))
-            amplitude += np.concatenate([q, w * q]) ** 2
-            pushed += np.abs(inverse @ (cos - 1j * sin)) ** 2
-        return np.sqrt(amplitude), np.sqrt(pushed)
 
 
 def _known(row: Vector, root: Matrix) -> Matrix:

@@ -30,7 +30,7 @@ class Numbers(NamedTuple):
             ``farthest`` away.
         farthest: rungs by which a hypothesis moves at most.
         log_leading: how likely a hypothesis is that changes its rungs, beside the likeliest.
-        most_kick_error: the largest relative error of an impulse.
+        impulses: relative errors of an impulse, where encoders tell the jump.
         false_rate: of a contact that only gives false positives, over the fastest rate.
         log_restart: of a restart beside false positives, where an event was not expected.
         restart_deviation: at a restart, over the size of the motion.
@@ -64,7 +64,7 @@ class Numbers(NamedTuple):
     log_move: float = math.log(0.01)
     farthest: int = 2
     log_leading: float = -8.0
-    most_kick_error: float = 0.1
+    impulses: tuple[float, ...] = (0.0, 1.0)
     false_rate: float = 0.1
     log_restart: float = math.log(2.5e-3)
     restart_deviation: float = 1.0
@@ -101,40 +101,56 @@ class Ladders(NamedTuple):
 
     Attributes:
         errors: relative error of the model, shape (R,).
+        kicks: relative error of an impulse, shape (R,).
         clocks: standard deviation of a stamp, s, shape (C,).
         moves: changes of both rungs at an event, shape (K, 2), and their log priors, (K,).
         log_moves: see ``moves``.
         persistence: factor of published deviations, shape (R,).
+        is_learned: whether errors of the model are weighed, and an impulse errs as much.
     """
 
     errors: Vector
+    kicks: Vector
     clocks: Vector
     moves: NDArray[np.intp]
     log_moves: Vector
     persistence: Vector
+    is_learned: bool
 
     @classmethod
-    def of(cls, clock: float | None, error: float | None, numbers: Numbers) -> "Ladders":
+    def of(
+        cls,
+        clock: float | None,
+        error: float | None,
+        numbers: Numbers,
+        *,
+        has_encoders: bool = False,
+    ) -> "Ladders":
         """The ladders; those whose size is declared have one rung.
 
         Args:
             clock: declared deviation of a stamp besides its rounding, s; None if unknown.
             error: declared relative error of the model; None if unknown.
             numbers: the tuned numbers.
+            has_encoders: whether jumps are measured, so that errors of impulses can be weighed
+                where that of the model is declared.
         """
-        errors = np.array(numbers.errors if error is None else (error,))
+        errors, is_learned = np.array(numbers.errors), error is None
+        kicks = errors
+        if error is not None:
+            kicks = np.array(numbers.impulses if has_encoders else (0.0,))
+            errors = np.full(kicks.size, error)
         clocks = np.hypot(numbers.clocks if clock is None else (clock,), ROUNDING)
         far = numbers.farthest
         by = [range(-far, far + 1) if each.size > 1 else range(1) for each in (errors, clocks)]
         moves = np.array([(i, j) for i in by[0] for j in by[1]])
-        persistence = np.ones(errors.size)
-        persistence[(errors > 0) & (error is None)] = numbers.persistence
+        persistence = np.where((errors > 0) & is_learned, numbers.persistence, 1.0)
         log_moves = numbers.log_move * np.count_nonzero(moves, axis=1)
-        return cls(errors, clocks, moves, log_moves, persistence)
+        return cls(errors, kicks, clocks, moves, log_moves, persistence, is_learned)
 
     def first(self, numbers: Numbers) -> tuple[Rungs, Rungs, Vector]:
         """Rungs of both ladders at a start, and the logarithms of their probabilities."""
-        r = numbers.first_errors if self.errors.size > 1 else (0,)
+        r = numbers.first_errors if self.is_learned else (0,)
         c = numbers.first_clocks if self.clocks.size > 1 else (0,)
         pairs = np.array([(i, j) for i in r for j in c])
         return pairs[:, 0], pairs[:, 1], np.full(len(pairs), -math.log(len(pairs)))
@@ -149,20 +165,3 @@ class Ladders(NamedTuple):
         allowed = (to_r >= 0) & (to_r < self.errors.size) & (to_c >= 0) & (to_c < self.clocks.size)
         h, k = np.nonzero(allowed & (leads[:, None] | stays))
         return h, to_r[h, k], to_c[h, k], k
-
-
-def triangular(wide: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Square roots, shape (..., N, N), of ``wide wide^T``, shape (..., N, any).
-
-    Roots with fewer columns than rows get columns of zeros.
-    """
-    N, columns = wide.shape[-2:]
-    if columns < N:
-        return np.concatenate([wide, np.zeros((*wide.shape[:-1], N - columns))], axis=-1)
-    upper = np.linalg.qr(np.swapaxes(wide, -1, -2), mode="r")
-    return np.ascontiguousarray(np.swapaxes(upper, -1, -2))
-
-
-def lengths_of(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Euclidean norms along the last axis."""
-    return np.asarray(np.sqrt(np.einsum("...k,...k->...", rows, rows)))

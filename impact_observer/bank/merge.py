@@ -4,7 +4,8 @@
 import numpy as np
 
 from impact_observer.bank.bank import Hypotheses
-from impact_observer.bank.ladders import Ladders, Numbers, lengths_of, triangular
+from impact_observer.bank.ladders import Ladders, Numbers
+from impact_observer.square_roots import lengths_of, triangular
 
 
 def most_of(numbers: Numbers, size: int) -> int:
@@ -22,7 +23,8 @@ def merged(rows: Hypotheses, ladders: Ladders, numbers: Numbers, scan: int) -> H
     rows = rows.take(order)
     deviations = None
     groups: dict[tuple[int, ...], list[list[int]]] = {}
-    keys = np.column_stack([rows.r, rows.c, rows.held, rows.just, rows.past[:, -scan:]])
+    _, flies = np.unique(ladders.errors, return_inverse=True)  # rungs with equal flights are one
+    keys = np.column_stack([flies[rows.r], rows.c, rows.held, rows.just, rows.past[:, -scan:]])
     for k, key in enumerate(map(tuple, keys.tolist())):
         for group in (own := groups.setdefault(key, [])):
             if deviations is None:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hypotheses between events: one flight for all of them, and the impacts that were missed.
 
-All hypotheses with the same closed contacts share the maps of a flight. Their gaps are followed on
-a grid of times (``dips``). A dip of a gap below zero says that an impact was missed, or that the
-estimate is wrong by as much: the hypothesis branches into both. A contact that is closed opens
-where its load falls to zero.
+All hypotheses with the same closed contacts fly at once; those of a linear system share their
+transition matrix. Gaps are followed on a grid of times (``dips``). A dip of a gap below zero says
+that an impact was missed, or that the estimate is wrong by as much: the hypothesis branches into
+both. A contact that is closed opens where its load falls to zero.
 """
 
-from functools import lru_cache
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,20 +15,17 @@ from numpy.typing import NDArray
 from scipy import special
 
 from impact_observer.bank.bank import Array, Hypotheses, Missed, bits, spread_of
-from impact_observer.bank.dips import Dips, GridValues, dips_of
-from impact_observer.bank.ladders import Ladders, Numbers, triangular
+from impact_observer.bank.dips import Dips, dips_of
+from impact_observer.bank.ladders import Ladders, Numbers
 from impact_observer.bank.notes import with_missed
-from impact_observer.dynamics.tangent import Maps, Tangent
+from impact_observer.dynamics.mechanism import Flown, Mechanism
 from impact_observer.events import Contacts
+from impact_observer.square_roots import triangular
 from impact_observer.stamps import Elapsed
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
-_GAPS, _LOADS = range(2)
-"""Functions that are followed along flights."""
 _ROUNDING = 1e-13
 """Depth of a dip that is rounding, over the size of the gap."""
-_TABLE = 4096
-"""Most steps of the table of a flight; of longer flights the steps are longer."""
 _SETTLED = 1e-12
 """Change of an instant that ends its search, over the fastest time scale."""
 _NEWTON = 8
@@ -73,49 +70,55 @@ class Reports(NamedTuple):
     clocks: Vector
 
 
+class Guard(NamedTuple):
+    """A gap and its speed in states of hypotheses, linearised.
+
+    Attributes:
+        g: gaps, shape (H,), m.
+        by: their derivatives by the states, shape (H, N).
+        gamma: contact speeds, shape (H,), m/s.
+        along: their derivatives by (q, u) at fixed directions, shape (H, d).
+    """
+
+    g: Vector
+    by: Array
+    gamma: Vector
+    along: Array
+
+
 class Flights:
     """The motion of hypotheses between events, near some parameters.
 
     Attributes:
-        tangent: flights and jumps of the system with these parameters.
+        mechanism: flights and jumps of the system with these parameters.
         constants: the parameters, and the delay of the stamps where it is estimated, (N - d,).
         ladders: what rungs stand for.
         numbers: the tuned numbers.
         log_missed: log probability that an impact is not reported, of each contact, shape (m,).
         own_clocks: deviations of the stamps of contacts, s; NaN where the ladder holds, (m,).
         d: numbers of (q, u).
-        gap_rows: derivatives of the gaps by the state, shape (m, N).
-        speed_rows: derivatives of their speeds by (q, u), shape (m, d).
-        rest: the gaps where the state is zero, shape (m,).
     """
 
     def __init__(
         self,
-        tangent: Tangent,
+        mechanism: Mechanism,
         constants: Vector,
         ladders: Ladders,
         numbers: Numbers,
         reports: Reports,
     ) -> None:
-        """Prepare the rows of gaps and speeds."""
-        self.tangent, self.ladders, self.numbers = tangent, ladders, numbers
+        """Prepare flights near ``constants``."""
+        self.mechanism, self.ladders, self.numbers = mechanism, ladders, numbers
         self.constants, (self.log_missed, self.own_clocks) = constants, reports
-        system = tangent.system
-        self.m, self.p, self.d = system.m, tangent.p, 2 * system.n
-        self.rate = max(tangent.phase(()).flow.exponential.rate, 1.0)
-        gaps = tangent.gaps(tuple(range(self.m)))
-        slopes = np.pad(gaps.rest_slopes, ((0, 0), (0, constants.size - self.p)))
-        self.gap_rows = np.hstack([gaps.by_x, slopes])
-        W = system.W.T
-        self.speed_rows = np.hstack([np.zeros_like(W), W])
-        self.rest = gaps.rest - slopes @ constants
-        self._table = lru_cache(16)(self._table_of)
+        system = mechanism.system
+        self.m, self.p, self.d = system.m, mechanism.theta.size, 2 * system.n
+        self.rate = mechanism.rate
 
     def without_stamps(self) -> "Flights":
         """The same for an impact that no stamp tells, only the state."""
         clocks = np.full_like(self.ladders.clocks, _NO_STAMP / self.rate)
         return Flights(
-            self.tangent,
+            self.mechanism,
             self.constants,
             self.ladders._replace(clocks=clocks),
             self.numbers,
@@ -127,30 +130,39 @@ class Flights:
         own = self.own_clocks[contact]
         return np.where(np.isnan(own), self.ladders.clocks[c], own)
 
-    def gap(self, contact: int, x: Array, constants: Array) -> Array:
-        """The gap of a contact at (q, u), shape (..., d), with constants, shape (..., N - d)."""
-        row = self.gap_rows[contact]
-        return np.asarray(x @ row[: self.d] + constants @ row[self.d :] + self.rest[contact])
+    def guard(self, contact: NDArray[np.intp] | int, x: Array) -> Guard:
+        """The gap of a contact, or of one each, in states of hypotheses, shape (H, N)."""
+        H, n, (g, gamma, W) = np.arange(len(x)), self.d // 2, self.mechanism.gaps(x[:, : self.d])
+        by, along = np.zeros(x.shape), np.zeros((len(x), self.d))
+        by[:, :n] = along[:, n:] = W[H, contact]
+        slopes = self.mechanism.gap_slopes[contact]
+        by[:, self.d : self.d + self.p] = slopes
+        g = g[H, contact] + np.sum(slopes * self.beside(x), axis=1)
+        return Guard(g, by, gamma[H, contact], along)
 
-    def images(self, maps: Maps, x: Array) -> tuple[Array, Array]:
-        """(q, u) of states (..., N) after flights, (..., d), and by the constants (..., d, N - d).
+    def images(self, at: Sequence[float], x: Array, s: Vector, held: Contacts) -> Flown:
+        """(q, u) of states (H, N) after flights of ``s`` seconds, (H, d), with derivatives.
 
-        To first order in the difference of the constants from those of the flights.
+        Those by the constants have shape (H, d, N - d). All are of first order in the difference
+        of the constants from those of the flights.
         """
-        found, beside = maps.of(x[..., : self.d]), x.shape[-1] - self.d
-        by = np.zeros((*found.shape, beside))
-        if self.p:
-            by[..., : self.p] = maps.Gamma(x[..., : self.d])
-            found += self.change(by[..., : self.p], x)
-        return found, by
+        found = self.mechanism.flown(at, x[:, : self.d], s, held)
+        by = np.zeros((len(x), self.d, x.shape[1] - self.d))
+        if not self.p:
+            return found._replace(Gamma=by)
+        by[..., : self.p] = found.Gamma
+        return Flown(found.x + self.change(found.Gamma, x), found.Phi, by)
 
     def change(self, by: Array, x: Array) -> Array:
         """What parameters of states (..., N) change of a function, beside those of the flights.
 
         ``by`` are its derivatives by the parameters, shape (..., k, p); the change is (..., k).
         """
-        theta = x[..., self.d : self.d + self.p] - self.constants[: self.p]
-        return np.asarray((by @ theta[..., None])[..., 0])
+        return np.asarray((by @ self.beside(x)[..., None])[..., 0])
+
+    def beside(self, x: Array) -> Array:
+        """Parameters of states (..., N) less those of the flights, shape (..., p)."""
+        return x[..., self.d : self.d + self.p] - self.constants[: self.p]
 
     def moved(self, rows: Hypotheses, leg: Leg) -> Hypotheses:
         """The hypotheses at the end of a ``leg``, with those that impacts were missed.
@@ -213,16 +225,18 @@ class Flights:
         d = self.d
         same = start.min() == start.max() and s.min() == s.max()
         at, length = (start[:1], s[:1]) if same else (start, s)
-        maps = self.tangent.flights([leg.t + each for each in at.tolist()], length, leg.held)
+        times = [leg.t + each for each in at.tolist()]
+        images = self.images(times, rows.x, length, leg.held)
         x, S, B = rows.x.copy(), rows.S.copy(), rows.B
-        x[:, :d], by = self.images(maps, rows.x)
-        S[:, :d] = maps.Phi @ rows.S[:, :d]
+        x[:, :d] = images.x
+        S[:, :d] = images.Phi @ rows.S[:, :d]
         if self.p:
-            S[:, :d] += by @ rows.S[:, d:]
+            S[:, :d] += images.Gamma @ rows.S[:, d:]
         if self.ladders.errors.any():
-            noise = self.tangent.noise(np.maximum(length, 0.0), leg.held, leg.intensity)
+            flight = np.maximum(length, 0.0), leg.held, leg.intensity
+            noise = self.mechanism.noise(times, rows.x[:, :d], *flight)
             noise = np.broadcast_to(noise, B.shape)
-            B = triangular(np.concatenate([maps.Phi @ B, noise], axis=2)) if B.any() else noise
+            B = triangular(np.concatenate([images.Phi @ B, noise], axis=2)) if B.any() else noise
         return rows._replace(x=x, S=S, B=B)
 
     def quiet(self, rows: Hypotheses, leg: Leg) -> float:
@@ -236,8 +250,9 @@ class Flights:
 
     def _released(self, rows: Hypotheses, start: Vector, leg: Leg) -> Vector:
         """When the load of a closed contact falls to zero, s after ``t``, (H,); inf for never."""
-        values = self._values(rows, start, leg, _LOADS)
-        load, ends = values.g, values.ends
+        times = [leg.t + each for each in start.tolist()]
+        flight = rows.x[:, : self.d], leg.s - start, leg.held
+        load, ends = self.mechanism.loads_along(times, *flight)
         below = load < 0
         first = np.argmax(below.any(axis=1), axis=0)
         found = np.full(rows.size, np.inf)
@@ -266,11 +281,11 @@ class Flights:
                 none = np.zeros_like(rows.tried)
                 rows = rows._replace(paid=np.zeros_like(rows.paid), tried=none)
             return rows, *nothing
-        at, d = start[dips.h], self.d
+        at = start[dips.h]
         lowest = self.flown(rows.take(dips.h), leg, at, dips.lowest - at)
-        seen = spread_of(lowest, self.ladders, self.gap_rows[dips.contact])
-        speed = np.einsum("di,di->d", self.speed_rows[dips.contact], lowest.x[:, :d])
-        seen = np.hypot(seen, speed * self.clock(dips.contact, lowest.c)) + 1e-300
+        guard = self.guard(dips.contact, lowest.x)
+        seen = spread_of(lowest, self.ladders, guard.by)
+        seen = np.hypot(seen, guard.gamma * self.clock(dips.contact, lowest.c)) + 1e-300
         depth = -dips.gap / seen
         is_named = np.isin(dips.contact, leg.named) & ~dips.is_over
         cost = np.maximum(special.log_ndtr(-depth), _LEAST)
@@ -320,82 +335,33 @@ class Flights:
 
     def dips(self, rows: Hypotheses, leg: Leg, start: Vector) -> Dips | None:
         """Where gaps are below zero from ``start`` to the end of the leg; None if nowhere."""
-        values = self._values(rows, start, leg, _GAPS)
-        beside = rows.x[:, self.d :] @ self.gap_rows[:, self.d :].T
-        g = values.g + (beside + self.rest).T
-        size = np.abs(self.gap_rows[:, : self.d]) @ np.abs(rows.x[:, : self.d]).max(axis=0)
-        size += np.abs(self.rest)
+        n, x = self.d // 2, rows.x[:, : self.d]
+        times = [leg.t + each for each in start.tolist()]
+        values = self.mechanism.gaps_along(times, x, leg.s - start, leg.held)
+        g = values.g
+        if self.p:
+            g = g + self.mechanism.gap_slopes @ self.beside(rows.x).T
+        first = self.mechanism.gaps(x)
+        size = np.abs(first.g).max(axis=0)
+        size += np.einsum("hmi,hi->hm", np.abs(first.W), np.abs(x[:, :n])).max(axis=0)
         just = rows.just[None] >> np.arange(self.m)[:, None] & 1
         g[0] = np.where(just, np.maximum(g[0], 0.0), g[0])
         ignored = np.array(leg.held, dtype=np.intp)
         return dips_of(values._replace(g=g), start, _ROUNDING * size, ignored)
 
-    def _values(self, rows: Hypotheses, start: Vector, leg: Leg, kind: int) -> GridValues:
-        """Gaps, without their rests, or loads of closed contacts, on a grid of times."""
-        length = float(leg.s - start.min())
-        flow = self.tangent.phase(leg.held).flow
-        step = flow.exponential.step / 2
-        step *= 2 ** max(0, int(np.ceil(np.log2(max(length / step / _TABLE, 1e-9)))))
-        steps = max(int(np.ceil(length / step)), 1)
-        starts, which = np.unique(start, return_inverse=True)
-        y = np.array([flow.drive.at(leg.t + each) for each in starts.tolist()])
-        z = np.hstack([rows.x[:, : self.d], y[which.ravel()]])
-        if flow.drive.is_smooth:
-            table = self._table(leg.held, kind, step, 1 << (steps - 1).bit_length())[: steps + 1]
-            values = (table @ z.T).reshape(steps + 1, 2, -1, rows.size)
-        else:
-            values = self._sampled_values(z, start, leg, kind, np.arange(steps + 1) * step)
-        return GridValues.to_the_end(values[:, 0], values[:, 1], step, leg.s - start)
-
-    def _sampled_values(
-        self, z: Matrix, start: Vector, leg: Leg, kind: int, times: Vector
-    ) -> Array:
-        """Values and slopes where forces have samples or switches."""
-        both, drive = self._rows(leg.held, kind), self.tangent.phase(leg.held).flow.drive
-        found = np.empty((times.size, *both.shape[:2], len(z)))
-        for at in np.unique(start).tolist():
-            own = np.flatnonzero(start == at)
-            maps = self.tangent.flights([leg.t + at] * times.size, times, leg.held)
-            x = maps.Phi @ z[own, : self.d].T + maps.drift[:, :, None]
-            y = np.array([drive.at(leg.t + (at + each)) for each in times.tolist()])
-            later = np.concatenate([x, np.repeat(y[:, :, None], own.size, axis=2)], axis=1)
-            found[..., own] = np.einsum("abi,tik->tabk", both, later)
-        return found
-
-    def _rows(self, held: Contacts, kind: int) -> Array:
-        """Gaps of all contacts or loads of closed ones, and rates, as rows of z, (2, k, N)."""
-        phase, d = self.tangent.phase(held), self.d
-        A = phase.flow.exponential.A
-        if kind == _GAPS:
-            first = np.pad(self.gap_rows[:, :d], ((0, 0), (0, len(A) - d)))
-            return np.stack([first, np.pad(self.speed_rows, ((0, 0), (0, len(A) - d)))])
-        H, own = phase.loads, phase.equations
-        first = np.hstack([H @ own.K, H @ own.C, -H @ phase.flow.drive.F])
-        return np.stack([first, first @ A])
-
-    def _table_of(self, held: Contacts, kind: int, step: float, steps: int) -> Array:
-        """``_rows`` after 0, 1, 2, .. steps, shape (steps + 1, 2k, N)."""
-        rows = self._rows(held, kind)
-        table = rows.reshape(1, -1, rows.shape[-1])
-        power = self.tangent.phase(held).flow.exponential.matrix(step)
-        while len(table) <= steps:
-            table = np.concatenate([table, table @ power])
-            power = power @ power
-        return table[: steps + 1]
-
     def _after_missed(
         self, contact: int, leg: Leg, rows: Hypotheses, start: Vector, began: Array
     ) -> tuple[Hypotheses, Vector]:
         """Hypotheses after an impact of a ``contact`` that was missed, each at its own instant."""
-        d, row = self.d, self.speed_rows[contact]
+        d, origin = self.d, start.tolist()
         at = began.mean(axis=1)
         low, high = began.T.copy()
+        times = [leg.t + each for each in origin]
         for _ in range(_NEWTON):
-            maps = self.tangent.flights(
-                [leg.t + each for each in start.tolist()], at - start, leg.held
-            )
-            x, _ = self.images(maps, rows.x)
-            gap, speed = self.gap(contact, x, rows.x[:, d:]), x @ row
+            x = rows.x.copy()
+            x[:, :d] = self.images(times, x, at - start, leg.held).x
+            guard = self.guard(contact, x)
+            gap, speed = guard.g, guard.gamma
             low, high = np.where(gap > 0, at, low), np.where(gap > 0, high, at)
             newton = at - gap / np.where(speed, speed, -1.0)
             before, inside = at, (newton >= low) & (newton <= high)
@@ -403,26 +369,27 @@ class Flights:
             if np.all(np.abs(at - before) < _SETTLED / self.rate):
                 break
         rows = self.flown(rows, leg, start, at - start)
-        x, gap = rows.x[:, :d], self.gap(contact, rows.x[:, :d], rows.x[:, d:])
-        speed = x @ row
-        jumps = self.tangent.impact(x, (*leg.held, contact))
+        guard, mechanism = self.guard(contact, rows.x), self.mechanism
+        x, speed = rows.x[:, :d], guard.gamma
+        jumps = mechanism.impact(x, (*leg.held, contact))
         t = [leg.t + each for each in at.tolist()]
-        before = self.tangent.rates(t, x, leg.held)[0]
-        after = self.tangent.rates(t, jumps.x, leg.held)[0]
-        by_state = np.pad(np.tile(row, (rows.size, 1)), ((0, 0), (0, rows.x.shape[1] - d)))
-        wide = spread_of(rows, self.ladders, by_state)
+        before, after = (mechanism.rates(t, each, leg.held) for each in (x, jumps.x))
+        by_speed = np.pad(guard.along, ((0, 0), (0, rows.x.shape[1] - d)))
+        wide = spread_of(rows, self.ladders, by_speed)
         slow = -np.hypot(speed, np.minimum(wide, 1e3))
         change = after - (jumps.Phi @ before[..., None])[..., 0]
-        late = change[:, :, None] * (self.gap_rows[contact] / slow[:, None])[:, None, :]
+        late = change[:, :, None] * (guard.by / slow[:, None])[:, None, :]
         Xi = late + np.pad(jumps.Phi, ((0, 0), (0, 0), (0, late.shape[2] - d)))
         S, B, whole = rows.S.copy(), rows.B, rows.x.copy()
         Xi[:, :, d : d + self.p] += jumps.Gamma
         whole[:, :d] = jumps.x + self.change(jumps.Gamma, rows.x)
         S[:, :d] = Xi @ S
         if self.ladders.errors.any():
-            kick = speed[:, None, None] * self.tangent.impulse(contact)[:, None]
+            kick = np.zeros((len(x), d, 1))
+            kick[:, d // 2 :] = speed[:, None, None] * mechanism.stops(x, (contact,))
+            kick *= self.ladders.is_learned
             B = triangular(np.concatenate([Xi[:, :, :d] @ B, kick], axis=2))
-        lost = (speed >= 0) | (np.abs(gap) > _ROUNDING**0.5 * np.abs(speed))
+        lost = (speed >= 0) | (np.abs(guard.g) > _ROUNDING**0.5 * np.abs(speed))
         logw = np.where(lost, -np.inf, rows.logw)
         just = np.full_like(rows.just, bits((contact,)))
         rows = rows._replace(x=whole, S=S, B=B, just=just, logw=logw)
@@ -438,16 +405,18 @@ class Flights:
         """
         if self.log_missed[contact] == -np.inf:
             return rows
-        d, row = self.d, self.speed_rows[contact]
+        d, mechanism = self.d, self.mechanism
         x = rows.x[:, :d]
-        speed, fall = x @ row, -self.tangent.rates(t, x, held)[0] @ row
+        speed, fall = (
+            each[:, contact] for each in (mechanism.gaps(x).gamma, mechanism.falling(t, x, held))
+        )
         flight = brief + 2 * self.ladders.clocks[rows.c]
         rests = (fall > 0) & (2 * speed < flight * fall)
         if not rests.any():
             return rows
         own = np.flatnonzero(rests)
         whole, S, B, bit = rows.x.copy(), rows.S.copy(), rows.B.copy(), rows.held.copy()
-        still = self.tangent.rest(x[own], tuple(sorted({*held, contact})))
+        still = mechanism.rest(x[own], tuple(sorted({*held, contact})))
         whole[own, :d] = still.x
         S[own, :d] = still.Phi @ S[own, :d]
         B[own] = still.Phi @ B[own]

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.bank.bank import Array, Hypotheses
-from impact_observer.bank.ladders import triangular
 from impact_observer.bank.predict import Flights
 from impact_observer.events import Contacts
+from impact_observer.square_roots import triangular
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Vector
 
@@ -38,24 +38,22 @@ class Function(NamedTuple):
 
     def at(self, x: Array, t: Elapsed, held: Contacts, flights: Flights) -> tuple[Vector, Array]:
         """Values at states (H, N), and their derivatives by the states, shapes (H,) and (H, N)."""
-        H, d = len(x), flights.d
+        d = flights.d
         n, rows = d // 2, np.zeros(x.shape)
         if self.contact >= 0:
-            rows[:] = flights.gap_rows[self.contact]
-            return flights.gap(self.contact, x[:, :d], x[:, d:]) + self.offset, rows
+            guard = flights.guard(self.contact, x)
+            return guard.g + self.offset, guard.by
         rows[:, :n], rows[:, n:d] = self.position, self.velocity
-        values = np.full(H, self.offset)
+        values = np.einsum("hi,hi->h", rows, x) + self.offset
         if np.any(self.acceleration):
-            tangent = flights.tangent
-            free = tangent.rates([t], x[:, :d], held)[0][:, n:] @ self.acceleration
-            slope = self.acceleration @ tangent.rate_slope(held)[n:]
-            values += free - x[:, :d] @ slope
-            rows[:, :d] += slope
-            if flights.p:
-                by = self.acceleration @ tangent.by_rates([t] * H, x[:, :d], held)[:, n:]
-                rows[:, d : d + flights.p] = by
-                values -= by @ flights.constants[: flights.p]
-        return values + np.einsum("hi,hi->h", rows, x), rows
+            mechanism = flights.mechanism
+            values += mechanism.rates([t], x[:, :d], held)[:, n:] @ self.acceleration
+            slopes = mechanism.rate_slopes([t], x[:, :d], held)
+            by_x, by = (self.acceleration @ each[:, n:] for each in slopes)
+            rows[:, :d] += by_x
+            rows[:, d : d + flights.p] = by
+            values += flights.change(by[:, None], x)[:, 0]
+        return values, rows
 
 
 class LinearSample(NamedTuple):
@@ -107,17 +105,18 @@ def sampled(
     jump = np.zeros(rows.size)
     for own, held in rows.by_held():
         value[own], by[own] = sample.function.at(rows.x[own], t, held, flights)
+        x = rows.x[own, :d]
+        gaps = flights.mechanism.gaps(x)
         for contact in range(flights.m):
             if contact in held:
                 continue
-            x = rows.x[own, :d]
-            gap, speed = flights.gap(contact, x, rows.x[own, d:]), x @ flights.speed_rows[contact]
+            gap, speed = gaps.g[:, contact], gaps.gamma[:, contact]
             late = _LATE * flights.clock(contact, rows.c[own]) * np.abs(speed)
             waits = (gap < 0) & (-gap < late)
             if waits.any():
                 which = own[waits]
                 hit = rows.x[which].copy()
-                hit[:, :d] = flights.tangent.impact(x[waits], (contact,)).x
+                hit[:, :d] = flights.mechanism.impact(x[waits], (contact,)).x
                 jump[which] += sample.function.at(hit, t, held, flights)[0] - value[which]
     innovation = sample.value - value
     if sample.period:

@@ -11,6 +11,8 @@ from impact_observer.dynamics import lyapunov
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
 from impact_observer.dynamics.contact.persistent_contact import ended, persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT
+from impact_observer.dynamics.guard_values import GuardValues
+from impact_observer.dynamics.linear_guards import LinearGuards
 from impact_observer.dynamics.mechanism import (
     Array,
     Flown,
@@ -20,6 +22,7 @@ from impact_observer.dynamics.mechanism import (
     Mechanism,
     PhaseEnd,
     Pressing,
+    mechanism_near,
     mechanism_of,
 )
 from impact_observer.dynamics.phase import Phase, Phases
@@ -32,6 +35,8 @@ from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 _TINY = np.finfo(np.float64).tiny
+_WINDOW = 8
+"""Steps of the exponential in a window of a flight."""
 
 
 class LinearMechanism:
@@ -53,9 +58,34 @@ class LinearMechanism:
         if tangent is not None:
             self.tangent = tangent
         self.timescale: float = self.phases.scales.timescale
+        self.is_noisy = False
         self._modes = np.abs(system.W.T @ self.phases.scales.shapes)
         self._rest, self._bias = np.abs(system.q_r) + _TINY, np.zeros(system.m)
         self._watch_of = lru_cache(KEPT)(self._watched)
+
+    @cached_property
+    def rate(self) -> float:
+        """The fastest rate of flow and forces, at least 1, 1/s."""
+        return max(self.phases.phase(()).flow.exponential.rate, 1.0)
+
+    @property
+    def window(self) -> float:
+        """Half a period of the fastest rate."""
+        return _WINDOW * self.phases.phase(()).flow.exponential.step
+
+    @property
+    def theta(self) -> Vector:
+        """The parameters of its tangent, shape (p,)."""
+        return self.tangent.theta
+
+    @cached_property
+    def gap_slopes(self) -> Matrix:
+        """Gaps of the model are parameters themselves, or do not depend on any, shape (m, p)."""
+        return self.tangent.gaps(tuple(range(self.system.m))).rest_slopes
+
+    @cached_property
+    def _guards(self) -> LinearGuards:
+        return LinearGuards(self.tangent)
 
     @cached_property
     def tangent(self) -> Tangent:
@@ -105,15 +135,27 @@ class LinearMechanism:
         return Flown(maps.of(x), maps.Phi, maps.Gamma(x))
 
     def noise(
-        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, intensity: Vector, /
+        self,
+        t: Sequence[float],
+        x: Array,
+        s: Vector,
+        held: Contacts,
+        intensity: tuple[float, ...],
+        /,
     ) -> Array:
         """The same from all states at all times: one root for equal flights."""
         del t, x
-        return self.tangent.noise(s, held, tuple(intensity.tolist()))
+        return self.tangent.noise(s, held, intensity)
 
     def rates(self, t: Sequence[float], x: Array, held: Contacts, /) -> Array:
         """A product with the matrix of the phase."""
         return self.tangent.rates(t, x, held)[0]
+
+    def rate_slopes(self, t: Sequence[float], x: Array, held: Contacts, /) -> tuple[Array, Array]:
+        """The matrix of the phase, the same in all states."""
+        A = self.tangent.rate_slope(held)
+        times = t if len(t) == len(x) else [*t] * len(x)
+        return np.broadcast_to(A, (len(x), *A.shape)), self.tangent.by_rates(times, x, held)
 
     def gaps(self, x: Array, /) -> Gaps:
         """Directions are the same in all states."""
@@ -121,9 +163,59 @@ class LinearMechanism:
         W = np.broadcast_to(system.W.T, (*x.shape[:-1], system.m, n))
         return Gaps(x[..., :n] @ system.W + system.q_r, x[..., n:] @ system.W, W)
 
+    def gaps_along(
+        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /
+    ) -> GuardValues:
+        """Powers of the exponential times all states."""
+        return self._guards.gaps(t, x, s, held)
+
+    def loads_along(
+        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /
+    ) -> tuple[Array, Array]:
+        """Loads are linear in the state and the forces."""
+        load, _, ends = self._guards.loads(t, x, s, held)
+        return load, ends
+
+    def falling(self, t: Sequence[float], x: Array, held: Contacts, /) -> Array:
+        """Directions of contacts times accelerations."""
+        return -self.rates(t, x, held)[:, self.system.n :] @ self.system.W
+
+    def pressed(self, x: Vector, active: Contacts, hit: Contacts, /) -> Contacts:
+        """Newton's law decides."""
+        gamma = self.system.W[:, list(hit)].T @ x[self.system.n :]
+        return self.newton.pressed(active, hit, gamma)
+
     def impact(self, x: Array, pressed: Contacts, /) -> Flown:
         """A linear map of the velocities, but for rebounds that depend on the speed."""
         return self.tangent.impact(x, pressed)
+
+    def rest(self, x: Array, held: Contacts, /) -> Flown:
+        """A projection in the metric of ``M``."""
+        return self.tangent.rest(x, held)
+
+    def stops(self, x: Array, pressed: Contacts, /) -> Array:
+        """The same in all states."""
+        X = self.tangent.stops(pressed)
+        return np.broadcast_to(X, (*x.shape[:-1], *X.shape))
+
+    def forced(self) -> tuple[Vector, Vector]:
+        """Responses to constants and harmonics; coordinates that nothing holds count as held."""
+        system, n = self.system, self.system.n
+        forcing, inverse = system.forcing, np.linalg.inv(system.M)
+        amplitude, pushed = np.zeros(2 * n), (inverse @ forcing.constant) ** 2
+        amplitude[:n] += (np.linalg.pinv(system.K, 1e-9, hermitian=True) @ forcing.constant) ** 2
+        soft = system.K + 1e-6 * np.trace(system.K) / n * np.eye(n) + 1e-12 * system.M
+        for w, cos, sin in zip(forcing.frequency, forcing.cosine, forcing.sine, strict=True):
+            dynamic = soft - w**2 * system.M + 1j * w * system.C
+            q = np.abs(np.linalg.solve(dynamic, cos - 1j * sin))
+            amplitude += np.concatenate([q, w * q]) ** 2
+            pushed += np.abs(inverse @ (cos - 1j * sin)) ** 2
+        return np.sqrt(amplitude), np.sqrt(pushed)
+
+    def near(self, x: Vector, theta: Vector, /) -> System:
+        """The system of the family, the same in all states."""
+        del x
+        return self.tangent.family.near(theta) if theta.size else self.system
 
     def kinetic(self, x: Array, /) -> Array:
         """``u' M u / 2``."""
@@ -169,3 +261,9 @@ class WatchedMotion(GuardedMotion):
 @mechanism_of.register
 def _(system: System) -> Mechanism:
     return LinearMechanism(system)
+
+
+@mechanism_near.register
+def _(family: ParametricFamily, theta: Vector) -> Mechanism:
+    tangent = Tangent(family, theta)
+    return LinearMechanism(tangent.system, tangent)

@@ -9,11 +9,11 @@ since the epoch; contacts are indices. The protocol has two sides.
 and ``grip``, which decide what stays closed, ``stopped``. These are problems of complementarity
 in one state.
 
-*Many states*, of estimates: ``flown`` with transition matrix and derivatives by parameters,
-``noise``, ``rates``, ``gaps``, ``impact`` with its derivatives, ``kinetic``, ``distance``. Here
-the set of contacts that are pressed is given, and all is smooth in the state.
+*Many states*, of estimates: flights, impacts and rest with their derivatives by states and
+parameters, noise, gaps and loads along flights. Here the set of contacts that are pressed is
+given, and all is smooth in the state.
 
-These are five and seven methods, as the two sides ask for different things.
+These are five and fifteen methods: what a Kalman filter linearises is each a function of its own.
 """
 
 from abc import abstractmethod
@@ -25,9 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.dynamics.flow import Motion
+from impact_observer.dynamics.guard_values import GuardValues
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
+from impact_observer.model import System
 from impact_observer.model.multibody import Multibody
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 Array = NDArray[np.float64]
@@ -139,6 +142,26 @@ class Mechanism(Protocol):
     def timescale(self) -> float:
         """A time in which motions change, such as the inverse of the fastest rate, s."""
 
+    @property
+    def rate(self) -> float:
+        """The fastest rate of small motions, at least 1, 1/s."""
+
+    @property
+    def window(self) -> float:
+        """How far a flight is looked ahead at once, s."""
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the model declares forces that are white noise."""
+
+    @property
+    def theta(self) -> Vector:
+        """The parameters by which derivatives are taken, shape (p,)."""
+
+    @property
+    def gap_slopes(self) -> Matrix:
+        """Derivatives of the gaps by the parameters, shape (m, p)."""
+
     # One motion
 
     def motion(self, t: float, x: Vector, grip: Grip, /) -> GuardedMotion:
@@ -192,21 +215,73 @@ class Mechanism(Protocol):
         """
 
     def noise(
-        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, intensity: Vector, /
+        self,
+        t: Sequence[float],
+        x: Array,
+        s: Vector,
+        held: Contacts,
+        intensity: tuple[float, ...],
+        /,
     ) -> Array:
-        """Roots of the covariance of white accelerations in flights, shape (K or 1, 2n, 2n).
+        """Roots of the covariance of white forces in flights, shape (K or 1, 2n, 2n).
 
-        ``intensity`` is that of the acceleration of each coordinate, m/s^1.5, shape (n,).
+        ``intensity`` is that of the acceleration of each coordinate, m/s^1.5, length n; forces
+        that the model declares come on top.
         """
 
     def rates(self, t: Sequence[float], x: Array, held: Contacts, /) -> Array:
         """``dx/dt``, shape (K, 2n)."""
 
+    def rate_slopes(self, t: Sequence[float], x: Array, held: Contacts, /) -> tuple[Array, Array]:
+        """Derivatives of ``rates`` by states, (K, 2n, 2n), and by parameters, (K, 2n, p)."""
+
     def gaps(self, x: Array, /) -> Gaps:
         """Gaps, contact speeds and directions of all contacts in states (..., 2n)."""
 
+    def gaps_along(
+        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /
+    ) -> GuardValues:
+        """Gaps of all contacts along flights of ``s`` seconds, shape (K,), not negative."""
+
+    def loads_along(
+        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /
+    ) -> tuple[Array, Array]:
+        """Loads of the contacts ``held`` along flights, in their order, and when.
+
+        Returns:
+            Shapes (steps + 1, k, K), and (steps + 1, K), s since each start.
+        """
+
+    def falling(self, t: Sequence[float], x: Array, held: Contacts, /) -> Array:
+        """Accelerations of all contacts towards their stops, shape (K, m), m/s^2."""
+
+    def pressed(self, x: Vector, active: Contacts, hit: Contacts, /) -> Contacts:
+        """Which of ``active`` contacts take an impulse in ``x``, shape (2n,), where ``hit`` close.
+
+        Contacts that ``hit`` close, whatever the signs of their speeds in ``x``.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+
     def impact(self, x: Array, pressed: Contacts, /) -> Flown:
         """Newton's law on exactly the contacts ``pressed``, from states (..., 2n)."""
+
+    def rest(self, x: Array, held: Contacts, /) -> Flown:
+        """States (..., 2n) with the speeds of ``held`` contacts zero, as masses would have it."""
+
+    def stops(self, x: Array, pressed: Contacts, /) -> Array:
+        """``X`` of ``u+ = u- - X gamma-``, which stops ``pressed`` contacts, (..., n, k)."""
+
+    def forced(self) -> tuple[Vector, Vector]:
+        """Amplitudes of the motion that forces alone give, and of its accelerations.
+
+        Returns:
+            Shapes (2n,) and (n,); zero where that is not known.
+        """
+
+    def near(self, x: Vector, theta: Vector, /) -> System:
+        """Masses, contacts and rebound laws at ``x``, shape (2n,), with other parameters."""
 
     def kinetic(self, x: Array, /) -> Array:
         """Kinetic energies of states (..., 2n), shape (...), J."""
@@ -224,3 +299,9 @@ def mechanism_of(system: Multibody) -> Mechanism:
     """
     kind = type(system).__name__
     raise UsageError(f"mechanism: {kind} found; expected a System, or the system of a model file")
+
+
+@singledispatch
+def mechanism_near(family: ParametricFamily, theta: Vector) -> Mechanism:
+    """The mechanism of a ``family``'s system with parameters ``theta``, shape (p,)."""
+    raise UsageError(f"mechanism: {type(family).__name__}, {theta} found; expected a family")

@@ -248,6 +248,11 @@ class RobotSensor(DeclaredSensor):
             self._expanded(np.zeros(2 * robot.n), zero, ()) if reading.is_affine else None
         )
 
+    @property
+    def function(self) -> tuple[Vector, Vector, Vector, float, int]:
+        """As of another sensor."""
+        return self._reading.function
+
     def row(self, moving: MovingSystem, at: Place) -> Row:
         """The measured function of states near a place."""
         if self._affine is not None:

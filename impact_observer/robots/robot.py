@@ -413,34 +413,38 @@ class Robot:
         tau: Vector,
         seconds: float,
         closed: Contacts = (),
+        *,
         torques: Callable[[Vector, Vector], Matrix] | None = None,
+        slope: Vector | None = None,
     ) -> tuple[Vector, Matrix, Matrix]:
         """``advanced``, and its derivatives by ``x``, (2n, 2n), and by parameters, (2n, p).
 
         The derivatives are those of the Runge-Kutta step itself. ``torques`` gives what a unit of
         each parameter adds to the torques, shape (n, p), by velocities and accelerations; None
-        for derivatives by ``tau``.
+        for derivatives by ``tau``. The ``slope`` of the torques is as of ``advanced``.
         """
         h, n, unit = seconds, self.n, np.eye(self.n)
+        rise = np.zeros(n) if slope is None else h / 2 * slope
         p = torques(x[n:], x[n:]).shape[1] if torques is not None else n
         first = np.zeros((2 * n, 1 + 2 * n + p))  # the state, and its derivatives
         first[:, 0] = x
         first[:, 1 : 2 * n + 1] = np.eye(2 * n)
-        at, total, slope = first, np.zeros_like(first), np.empty_like(first)
-        for weight, ahead in ((1, h / 2), (2, h / 2), (2, h), (1, 0.0)):
-            q, u = at[:n, 0], at[n:, 0]
+        at, total, rates = first, np.zeros_like(first), np.empty_like(first)
+        stages = ((1, h / 2, -rise), (2, h / 2, 0.0), (2, h, 0.0), (1, 0.0, rise))
+        for weight, ahead, rising in stages:
+            q, u, given = at[:n, 0], at[n:, 0], tau + rising
             if closed:
-                acceleration = self.acceleration(q, u, tau, closed)
-                by_q, by_u, by_tau = self.acceleration_derivatives(q, u, tau, closed)
+                acceleration = self.acceleration(q, u, given, closed)
+                by_q, by_u, by_tau = self.acceleration_derivatives(q, u, given, closed)
             else:
-                acceleration, by_q, by_u, by_tau = self._linearised(q, u, tau)
-            slope[:n] = at[n:]
-            slope[n:] = by_q @ at[:n] + by_u @ at[n:]
+                acceleration, by_q, by_u, by_tau = self._linearised(q, u, given)
+            rates[:n] = at[n:]
+            rates[n:] = by_q @ at[:n] + by_u @ at[n:]
             added = unit if torques is None else torques(u, acceleration)
-            slope[n:, 2 * n + 1 :] += by_tau @ added
-            slope[n:, 0] = acceleration
-            total += weight * slope
-            at = first + ahead * slope
+            rates[n:, 2 * n + 1 :] += by_tau @ added
+            rates[n:, 0] = acceleration
+            total += weight * rates
+            at = first + ahead * rates
         total = first + h / 6 * total
         return total[:, 0], total[:, 1 : 2 * n + 1], total[:, 2 * n + 1 :]
 

@@ -2,13 +2,15 @@
 """The mechanism of a robot: every answer by pinocchio, and derivatives along Runge-Kutta steps."""
 
 import math
+from collections import OrderedDict
 from collections.abc import Sequence
-from typing import TypeAlias
+from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics.contact.complementarity import complementary
+from impact_observer.dynamics.guard_values import GuardValues
 from impact_observer.dynamics.mechanism import (
     Array,
     Flown,
@@ -16,13 +18,18 @@ from impact_observer.dynamics.mechanism import (
     Grip,
     Mechanism,
     Pressing,
+    mechanism_near,
     mechanism_of,
 )
 from impact_observer.errors import DynamicsError
 from impact_observer.events import Contacts
+from impact_observer.model import System
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_course import RobotCourse, Way
+from impact_observer.robots.robot_family import RobotFamily
 from impact_observer.robots.robot_flight import RobotFlight, held_state
-from impact_observer.robots.robot_parameters import jump_by_parameters, torques_by_parameters
+from impact_observer.robots.robot_parameters import jump_by_parameters, rates_by_parameters
+from impact_observer.robots.tangent_robot import tangent
 from impact_observer.states import Matrix, Vector
 
 _GRAVITY = 9.81
@@ -31,8 +38,10 @@ _ZERO = 1e-11
 _LONGEST_STEP = 0.1
 """Longest step of flights with derivatives, in the inverse of the fastest rate at rest."""
 
-Start: TypeAlias = tuple[Vector, float, float]
-"""State, shape (2n,), s since the epoch, and duration of a flight, s."""
+_SHORT = 0.2
+"""Steps up to which one linearisation does, over the longest step."""
+_KEPT = 256
+"""Motions and places that are kept: those of an estimate and of its hypotheses."""
 
 
 class RobotMechanism:
@@ -41,19 +50,34 @@ class RobotMechanism:
     Attributes:
         system: the robot.
         timescale: of a fall through the reach of the robot, s.
+        rate: the fastest rate at rest with all coordinates zero, at least 1, 1/s.
+        window: the longest step of a flight, s.
         names: parameters by which derivatives are taken, as in ``robot_parameters``.
+        theta: their values, shape (p,).
+        gap_slopes: no parameter moves a plane, shape (m, p).
     """
 
     def __init__(self, robot: Robot, names: Sequence[str] = ()) -> None:
         """Take the parameters ``names`` for derivatives."""
         self.system: Robot = robot
         self.names = tuple(names)
+        known = robot.description.parameters
+        self.theta = np.array([known[name] for name in self.names])
+        self.gap_slopes = np.zeros((robot.m, self.theta.size))
         size = float(np.max(robot.reach, initial=1.0))
         self.timescale: float = math.sqrt(size / _GRAVITY)
         n = robot.n
         A, _ = robot.rate_derivatives(np.zeros(2 * n), robot.rest_torque(np.zeros(n)))
-        rate = float(np.max(np.abs(np.linalg.eigvals(A))))
-        self._step = _LONGEST_STEP / max(rate, 1.0)
+        self.rate = max(float(np.max(np.abs(np.linalg.eigvals(A)))), 1.0)
+        self.window = _LONGEST_STEP / self.rate
+        self._courses: OrderedDict[tuple[object, ...], RobotCourse] = OrderedDict()
+        self._known: object = None
+        self._placed = lru_cache(_KEPT)(self._placed_at)
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether torques are white noise: those of the model, or the error of held efforts."""
+        return self.system.has_white_torques
 
     def motion(self, t: float, x: Vector, grip: Grip, /) -> RobotFlight:
         """A flow of high order, in whose steps guards are polynomials."""
@@ -106,23 +130,27 @@ class RobotMechanism:
         return Grip(closed, closed)
 
     def flown(self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /) -> Flown:
-        """Steps of Runge and Kutta of 4th order with their own derivatives."""
-        n, K = self.system.n, len(x)
-        Phi, Gamma = np.empty((K, 2 * n, 2 * n)), np.empty((K, 2 * n, len(self.names)))
+        """Steps of Runge and Kutta, one state after the other."""
         after = np.empty_like(x)
-        for k, (each, start, seconds) in enumerate(self._flights(t, x, s)):
-            after[k], Phi[k], Gamma[k], _ = self._flight(start, each, seconds, held)
+        Phi, Gamma = np.empty((*x.shape, x.shape[1])), np.empty((*x.shape, self.theta.size))
+        for k, (course, seconds) in enumerate(self._flights(t, x, s, held)):
+            after[k] = course.state(seconds)
+            Phi[k], Gamma[k] = course.maps(seconds)
         return Flown(after, Phi, Gamma)
 
     def noise(
-        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, intensity: Vector, /
+        self,
+        t: Sequence[float],
+        x: Array,
+        s: Vector,
+        held: Contacts,
+        intensity: tuple[float, ...],
+        /,
     ) -> Array:
-        """White accelerations along the motion of each state, step by step."""
-        found = [
-            self._flight(start, each, seconds, held, intensity)[3]
-            for each, start, seconds in self._flights(t, x, s)
-        ]
-        return np.array(found)
+        """White torques and accelerations along the motion of each state, step by step."""
+        given = np.array(intensity)
+        flights = self._flights(t, x, s, held)
+        return np.array([course.noise(seconds, given) for course, seconds in flights])
 
     def rates(self, t: Sequence[float], x: Array, held: Contacts, /) -> Array:
         """``(u, u')`` of each state."""
@@ -130,14 +158,104 @@ class RobotMechanism:
         each = zip(x, times, strict=True)
         return np.array([robot.rates(at, robot.torques(when), held) for at, when in each])
 
-    def gaps(self, x: Array, /) -> Gaps:
+    def rate_slopes(self, t: Sequence[float], x: Array, held: Contacts, /) -> tuple[Array, Array]:
         """One state after the other."""
+        robot, times = self.system, np.broadcast_to(t, len(x)).tolist()
+        A, Gamma = np.empty((*x.shape, x.shape[1])), np.empty((*x.shape, self.theta.size))
+        for k, (at, when) in enumerate(zip(x, times, strict=True)):
+            tau = robot.torques(when)
+            A[k], _ = robot.rate_derivatives(at, tau, held)
+            Gamma[k] = rates_by_parameters(robot, at, tau, self.names, held)
+        return A, Gamma
+
+    def gaps(self, x: Array, /) -> Gaps:
+        """One state after the other; the latest are kept."""
         robot, n = self.system, self.system.n
-        rows = x.reshape(-1, 2 * n)
-        placed = [robot.gaps_and_directions(each[:n]) for each in rows]
+        placed = [self._placed(q.tobytes()) for q in x.reshape(-1, 2 * n)[:, :n]]
         W = np.array([each.T for _, each in placed]).reshape(*x.shape[:-1], robot.m, n)
         g = np.array([each for each, _ in placed]).reshape(*x.shape[:-1], robot.m)
         return Gaps(g, np.einsum("...ij,...j->...i", W, x[..., n:]), W)
+
+    def _placed_at(self, q: bytes) -> tuple[Vector, Matrix]:
+        return self.system.gaps_and_directions(np.frombuffer(q))
+
+    def gaps_along(
+        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /
+    ) -> GuardValues:
+        """At the ends of the steps of each flight."""
+        states, ends = self._along(t, x, s, held)
+        gaps = self.gaps(states)
+        return GuardValues(gaps.g.transpose(0, 2, 1), gaps.gamma.transpose(0, 2, 1), ends)
+
+    def loads_along(
+        self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /
+    ) -> tuple[Array, Array]:
+        """At the ends of the steps of each flight."""
+        (states, ends), robot, n = self._along(t, x, s, held), self.system, self.system.n
+        times = ends + np.array([float(each) for each in t])
+        found = np.empty((len(ends), len(held), len(x)))
+        for k, h in np.ndindex(ends.shape):
+            q, u = np.split(states[k, h], [n])
+            found[k, :, h] = robot.loads(q, u, robot.torques(float(times[k, h])), held)
+        return found, ends
+
+    def _along(
+        self, t: Sequence[float], x: Array, s: Vector, held: Contacts
+    ) -> tuple[Array, Array]:
+        """States at the ends of steps, (steps + 1, K, 2n), and when, s, (steps + 1, K)."""
+        steps = max(math.ceil(float(s.max()) / self.window), 1)
+        ends = np.minimum(np.arange(steps + 1)[:, None] * self.window, s)
+        states = np.empty((steps + 1, *x.shape))
+        for h, (course, _) in enumerate(self._flights(t, x, s, held)):
+            states[:, h] = [course.state(each) for each in ends[:, h].tolist()]
+        return states, ends
+
+    def falling(self, t: Sequence[float], x: Array, held: Contacts, /) -> Array:
+        """By the accelerations of the joints, and by the turn of the directions."""
+        robot, n = self.system, self.system.n
+        turned = np.array([robot.bias(each[:n], each[n:]) for each in x])
+        rates = self.rates(t, x, held)[:, n:]
+        return np.asarray(-np.einsum("kmi,ki->km", self.gaps(x).W, rates) - turned)
+
+    def pressed(self, x: Vector, active: Contacts, hit: Contacts, /) -> Contacts:
+        """Newton's law decides; where all of them separate, those that ``hit``."""
+        if len(active) == 1:
+            return hit
+        q, u = np.split(x, 2)
+        taking: Contacts = self.system.pushed(q, u, active)
+        return taking or hit
+
+    def forced(self) -> tuple[Vector, Vector]:
+        """Zero: the motion of a robot is known by its encoders."""
+        return np.zeros(2 * self.system.n), np.zeros(self.system.n)
+
+    def near(self, x: Vector, theta: Vector, /) -> System:
+        """The robot at ``x``."""
+        robot = self.system
+        if theta.size:
+            values = dict(zip(self.names, theta.tolist(), strict=True))
+            robot = robot.with_parameters(values)
+        return tangent(robot, x)
+
+    def rest(self, x: Array, held: Contacts, /) -> Flown:
+        """The nearest state in the metric of ``M``, positions too, as planes bend coordinates."""
+        robot, n, d = self.system, self.system.n, 2 * self.system.n
+        rows, Phi = x.reshape(-1, d), np.zeros((x.size // d, d, d))
+        after = np.array([held_state(robot, each, held) for each in rows])
+        X = self.stops(after, held)
+        still = np.eye(n) - X @ self.gaps(after).W[:, list(held)]
+        Phi[:, :n, :n] = Phi[:, n:, n:] = still
+        shape = x.shape[:-1]
+        Gamma = np.zeros((*shape, d, self.theta.size))
+        return Flown(after.reshape(x.shape), Phi.reshape(*shape, d, d), Gamma)
+
+    def stops(self, x: Array, pressed: Contacts, /) -> Array:
+        """One state after the other."""
+        n, found = self.system.n, list[Matrix]()
+        for each in x.reshape(-1, 2 * n):
+            W, kicks = self.system.kicks(each[:n], pressed)
+            found.append(kicks @ np.linalg.pinv(W.T @ kicks, hermitian=True))
+        return np.array(found).reshape(*x.shape[:-1], n, len(pressed))
 
     def impact(self, x: Array, pressed: Contacts, /) -> Flown:
         """One state after the other."""
@@ -166,51 +284,36 @@ class RobotMechanism:
         found = np.einsum("kai,kij,kaj->k", halves, M, halves) / 2
         return np.asarray(found.reshape(x.shape[:-1]))
 
-    def _flights(self, t: Sequence[float], x: Array, s: Vector) -> Sequence[Start]:
-        """State, start and duration of each flight."""
-        times, lengths = np.broadcast_to(t, len(x)), np.broadcast_to(s, len(x))
-        return [*zip(x, times.tolist(), lengths.tolist(), strict=True)]
-
-    def _torques(self, u: Vector, acceleration: Vector) -> Matrix:
-        return torques_by_parameters(self.system, u, acceleration, self.names)
-
-    def _flight(
-        self,
-        t: float,
-        x: Vector,
-        seconds: float,
-        held: Contacts,
-        intensity: Vector | None = None,
-    ) -> tuple[Vector, Matrix, Matrix, Matrix]:
-        """The state after a flight, its derivatives, and a root of the noise it has collected."""
-        robot, n = self.system, self.system.n
-        Phi, Gamma = np.eye(2 * n), np.zeros((2 * n, len(self.names)))
-        Q = np.zeros((2 * n, 2 * n))
-        count = max(math.ceil(abs(seconds) / self._step), 1)
-        h = seconds / count
-        for k in range(count):
-            tau = robot.torques(t + (k + 0.5) * h)
-            before = x
-            x, step, by = robot.advanced_with_derivatives(x, tau, h, held, self._torques)
-            Phi, Gamma = step @ Phi, step @ Gamma + by
-            if intensity is not None:
-                q = (before + x)[:n] / 2
-                free = robot.mobility_matrix(q, held) @ robot.mass(q)
-                faded = (np.eye(n) + step[n:, n:]) / 2  # what is left of a kick, in the mean
-                Q = step @ Q @ step.T + _kicked(faded @ free * intensity, h)
-        values, vectors = np.linalg.eigh((Q + Q.T) / 2)
-        return x, Phi, Gamma, vectors * np.sqrt(np.maximum(values, 0.0))
-
-
-def _kicked(kicks: Matrix, h: float) -> Matrix:
-    """The covariance that white accelerations add in ``h`` seconds, shape (2n, 2n)."""
-    n, square = len(kicks), kicks @ kicks.T
-    Q = np.empty((2 * n, 2 * n))
-    Q[:n, :n], Q[:n, n:] = h**3 / 3 * square, h**2 / 2 * square
-    Q[n:, :n], Q[n:, n:] = h**2 / 2 * square, h * square
-    return Q
+    def _flights(
+        self, t: Sequence[float], x: Array, s: Vector, held: Contacts
+    ) -> list[tuple[RobotCourse, float]]:
+        """The course of each state and the duration of its flight; the latest are kept."""
+        robot, courses = self.system, self._courses
+        sampled = robot.forcing.sampled
+        known = None if sampled is None else sampled.time  # replaced where samples come
+        if known is not self._known:
+            courses.clear()
+            self._known = known
+        way, found = Way(robot, self.names, held, self.window, _SHORT * self.window), []
+        times, lengths = np.broadcast_to(t, len(x)).tolist(), np.broadcast_to(s, len(x)).tolist()
+        for at, start, seconds in zip(times, x, lengths, strict=True):
+            asked = at, seconds < 0, held, start.tobytes()
+            course = courses.pop(asked, None)
+            if course is None:
+                course = RobotCourse(way, at, start, backward=seconds < 0)
+                if len(courses) == _KEPT:
+                    courses.popitem(last=False)
+            courses[asked] = course  # the last to be forgotten
+            found.append((course, seconds))
+        return found
 
 
 @mechanism_of.register
 def _(robot: Robot) -> Mechanism:
     return RobotMechanism(robot)
+
+
+@mechanism_near.register
+def _(family: RobotFamily, theta: Vector) -> Mechanism:
+    names = tuple(family.names)
+    return RobotMechanism(family.robot_at(theta) if names else family.system, names)

@@ -41,6 +41,18 @@ class RobotReading:
         self.is_affine = not (self.is_dynamic or self._contacts)
 
     @property
+    def function(self) -> tuple[Vector, Vector, Vector, float, int]:
+        """X."""
+        n, contact = self._robot.n, self._contacts[0] if self._contacts else -1
+        return (
+            self._h[:n],
+            self._h[n:],
+            self.by_acceleration,
+            self.measurement.offset,
+            contact,
+        )
+
+    @property
     def name(self) -> str:
         """Of the sensor."""
         return self.measurement.name

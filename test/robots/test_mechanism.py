@@ -131,7 +131,7 @@ def test_noise_is_the_sum_of_the_kicks_along_a_flight(kind: str) -> None:
     mechanism, parts = changed(kind, np.zeros(3)), 400
     n, x = mechanism.system.n, states(mechanism)[:1]
     intensity = np.linspace(0.5, 1.0, n)
-    root = mechanism.noise([T], x, S, (), intensity)[0]
+    root = mechanism.noise([T], x, S, (), tuple(intensity.tolist()))[0]
     h, total = S / parts, np.zeros((2 * n, 2 * n))
     kicked = np.zeros((2 * n, 2 * n))
     kicked[n:, n:] = float(h[0]) * np.diag(intensity**2)

@@ -3,8 +3,12 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import ClassVar
 
+import numpy as np
+
+from impact_observer.dynamics import Mechanism, mechanism_of
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
@@ -80,6 +84,11 @@ class Law(ABC):
             " law, such as minimum-variance"
         )
 
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """Flights and jumps of the system."""
+        return mechanism_of(self.system)
+
     @classmethod
     def for_kind(cls, kind: type[System | Robot]) -> "type[Law]":
         """The law of this name for systems of a ``kind``."""
@@ -88,8 +97,7 @@ class Law(ABC):
 
     def near(self, x: Vector) -> System:
         """The system at a state ``x``, shape (2n,): a linear one is the same at all states."""
-        del x
-        return self.system
+        return self.mechanism.near(x, np.zeros(0))
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:

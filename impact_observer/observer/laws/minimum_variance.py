@@ -14,7 +14,6 @@ from impact_observer.bank.bank import Bank, mixture
 from impact_observer.bank.correct import Hit
 from impact_observer.bank.course import Course
 from impact_observer.bank.impact_bank import DeclaredErrors, ImpactBank
-from impact_observer.bank.ladders import lengths_of
 from impact_observer.bank.notes import Event
 from impact_observer.bank.sample_correction import Function, LinearSample
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance
@@ -26,11 +25,11 @@ from impact_observer.filter.misfit import CONTRADICTION, MISFIT, SILENCE
 from impact_observer.filter.readings import Reading, SampleOutcome
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
-from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.belief import Belief, Learned, Onset, Parameters, Prediction
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.laws.robot_variance import RobotVariance
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_family import family_of
+from impact_observer.square_roots import lengths_of
 from impact_observer.stamps import Elapsed, elapsed
 from impact_observer.states import Matrix, Vector
 
@@ -76,7 +75,7 @@ class MinimumVariance(Law):
                 " force depends on time: a later clock and a later motion look the same; leave it"
                 " out"
             )
-        family = ParametricFamily(system, ()) if unknowns is None else unknowns.family
+        family = family_of(system) if unknowns is None else unknowns.family
         considered = () if unknowns is None else unknowns.considered
         roots = [] if unknowns is None else [unknowns.root]
         roots += [np.array([[offset]])] if offset else []
@@ -84,8 +83,10 @@ class MinimumVariance(Law):
         self._considered = np.array([*considered, *([False] if offset else [])], dtype=bool)
         self._has_delay = bool(offset)
         m, given, error = system.m, own.contacts, own.model_error
-        if not error and (own.estimates_parameters or system.special):
-            error = None  # what is not linear in parameters or speeds is an error at first
+        if not (error or system.has_encoders or system.is_plain(range(m))):
+            error = None  # what is not linear in speeds is an error at first
+        if not error and own.estimates_parameters:
+            error = None  # or in parameters
         self._latency = np.zeros(m) if given is None else given.latency
         self.filter = ImpactBank(
             family,
@@ -101,11 +102,6 @@ class MinimumVariance(Law):
                 tuple(self._considered.tolist()),
             ),
         )
-
-    @classmethod
-    def for_kind(cls, kind: type[System | Robot]) -> type[Law]:
-        """Robots have a filter of their own."""
-        return RobotVariance if issubclass(kind, Robot) else cls
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """The declared covariance, on the first rungs."""
@@ -126,8 +122,11 @@ class MinimumVariance(Law):
         if bank.contradicted:
             misfit = CONTRADICTION.format(bank.farthest)
         elif bank.doubted >= _DOUBTED:
-            level = float(rows.weights @ self.filter.ladders.errors[rows.r])
-            misfit = f"{MISFIT}: flights miss by {level:.2g} of the accelerations"
+            level = float(rows.weights @ self.filter.ladders.kicks[rows.r])
+            what = "flights miss by {:.2g} of the accelerations"
+            if not self.filter.ladders.is_learned:
+                what = "impulses miss by {:.2g} of their size"
+            misfit = f"{MISFIT}: {what.format(level)}"
         return Belief(
             Ensemble(x[:size], root[:size]),
             _anywhere(root[:size], bank) if bank.contradicted else root[:size],
