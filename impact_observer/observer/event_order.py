@@ -13,7 +13,7 @@ from itertools import groupby
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import Contacts, ImpactEvent, Kind
-from impact_observer.filter.contact_change import ContactChange
+from impact_observer.observer.contact_change import ContactChange
 from impact_observer.stamps import NS_PER_S, seconds_between
 
 NEAR_NUMBERS = 1000

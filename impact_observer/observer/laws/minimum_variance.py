@@ -20,16 +20,15 @@ from impact_observer.bank.sample_correction import Function, LinearSample
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Ruling
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.misfit import CONTRADICTION, MISFIT, SILENCE
-from impact_observer.filter.readings import Reading, SampleOutcome
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.belief import Belief, Learned, Onset, Parameters, Prediction
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.laws.robot_variance import RobotVariance
+from impact_observer.observer.misfit import CONTRADICTION, MISFIT, SILENCE
+from impact_observer.observer.readings import Reading, SampleOutcome
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import Elapsed, elapsed
 from impact_observer.states import Matrix, Vector
@@ -101,11 +100,6 @@ class MinimumVariance(Law):
                 tuple(self._considered.tolist()),
             ),
         )
-
-    @classmethod
-    def for_kind(cls, kind: type[System | Robot]) -> type[Law]:
-        """Robots have a filter of their own."""
-        return RobotVariance if issubclass(kind, Robot) else cls
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """The declared covariance, on the first rungs."""

@@ -8,20 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, PRESSED, chain, run, sample, system, without_faults
+from systems import EPOCH, PRESSED, run, sample, system, without_faults
 
-from impact_observer.dynamics import Phases
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.gaussian_state import GaussianState
-from impact_observer.filter.impact_filter import ImpactFilter
-from impact_observer.filter.resting import rested
-from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
-from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer import Observer, Options, law_named, make_observer, options_of_laws
+from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, from_seconds
 
@@ -145,47 +139,6 @@ def test_gaps_are_estimated_where_contacts_rest() -> None:
     assert np.all(spread > 0.2 * late.parameters[0][2])
 
 
-def linearised(
-    family: ParametricFamily, t: float, x: Array, s: float, closed: tuple[int, ...] = ()
-) -> tuple[Array, Array]:
-    """Derivatives of the state after ``s`` seconds with state and parameters, by differences."""
-
-    def after(theta: Array) -> tuple[Array, Array]:
-        phases = Phases(family.system_at(theta))
-        phase = phases.phase(closed)
-        return phase.start(t, x).state(s), phase.transition(s)
-
-    given, h = np.array(family.nominal), 1e-5
-    turn = [
-        (after(given + h * e)[0] - after(given - h * e)[0]) / (2 * h) for e in np.eye(given.size)
-    ]
-    return after(given)[1], np.column_stack(turn)
-
-
-@pytest.mark.parametrize("closed", [(), (0,)])
-def test_small_errors_are_propagated_by_the_derivatives_of_the_motion(
-    closed: tuple[int, ...],
-) -> None:
-    """State and parameters, also while a contact is held; also the other replicas."""
-    unknowns = UnknownParameters.named(
-        PRESSED, ["stiffness-scale=1e-5", "mass-scale=2e-5", "gap.c2=1e-5"]
-    )
-    filter_ = ImpactFilter(PRESSED, 0.0, unknowns)
-    rng = np.random.default_rng(5)
-    root = 1e-5 * np.tril(rng.normal(size=(7, 7)))
-    x = np.array([0.1, 0.05, 0.0, -0.4])
-    differences = 1e-5 * rng.normal(size=(7, 2))
-    state = GaussianState(x, unknowns.family.nominal, root, differences, closed, parameters=3)
-    found = filter_.predict(0.3, state).prior(0.8)
-    Phi, turn = linearised(unknowns.family, 0.3, x, 0.8, closed)
-    whole = np.block([[Phi, turn], [np.zeros((3, 4)), np.eye(3)]])
-    P = whole @ root @ root.T @ whole.T
-    size = np.sqrt(np.outer(np.diag(P), np.diag(P))) + 1e-20
-    assert np.max(np.abs(found.root @ found.root.T - P) / size) < 1e-3
-    np.testing.assert_allclose(found.differences, whole @ differences, atol=2e-9)
-    np.testing.assert_array_equal(found.constants, unknowns.family.nominal)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("free", ["restitution=0.1", "stiffness-scale=0.03"])
 def test_errors_of_parameters_agree_with_their_deviations(free: str) -> None:
@@ -278,67 +231,3 @@ def test_of_several_laws_those_that_estimate_no_parameters_have_none() -> None:
         Options(estimate_parameters=("restitution",)), ["geometric", "minimum-variance"]
     )
     assert [each.estimate_parameters for each in both] == [(), ("restitution",)]
-
-
-def test_a_contact_that_rests_does_not_measure_its_restitution() -> None:
-    """A CLOSE may stand for one bounce or for many: impacts alone measure the restitution."""
-    model = sample("two_mass").system
-    unknowns = UnknownParameters.named(model, ["restitution=0.1"])
-    filter_ = ImpactFilter(model, 0.0, unknowns)
-    x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
-    state = GaussianState(x, unknowns.family.nominal, root, np.empty((5, 0)), (), parameters=1)
-    change = ContactChange(1.0, (), (0,), (0,))
-    after = filter_.conditioning.posterior(change, state, 1e-4)
-    assert after.closed == (0,)
-    assert after.theta[0] == pytest.approx(0.7, abs=1e-6)
-    assert np.linalg.norm(after.root[4]) == pytest.approx(0.1)
-    assert abs(float(model.W[:, 0] @ after.x[2:])) < 1e-12
-
-
-def test_a_contact_that_rests_leaves_parameters_within_their_bounds() -> None:
-    """To the last digit: a restitution of -1e-21 is none."""
-    model, rng = sample("two_mass").system, np.random.default_rng(1)
-    unknowns = UnknownParameters.named(model, ["gap=0.01", "restitution=0.3"])
-    members, nothing = ImpactFilter(model, 0.0, unknowns).members, np.zeros((2, 0))
-    for _ in range(50):
-        x, root = np.append(0.1 * rng.normal(size=2), rng.normal(size=2)), rng.normal(size=(6, 6))
-        theta = unknowns.family.nominal + 0.1 * rng.normal(size=2)
-        theta = members.parameters.bounded(theta, nothing, 0)
-        state = GaussianState(x, theta, root, np.empty((6, 0)), (0,), parameters=2)
-        after = rested(members, state, (0,), np.zeros(1)).theta
-        np.testing.assert_array_equal(members.parameters.bounded(after, nothing, 0), after)
-
-
-def test_a_widened_covariance_leaves_parameters_within_their_declared_deviations() -> None:
-    """However much the state is widened."""
-    model = sample("two_mass").system
-    unknowns = UnknownParameters.named(model, ["restitution=0.1", "gap=0.02"])
-    filter_ = ImpactFilter(model, 0.0, unknowns)
-    rng = np.random.default_rng(4)
-    root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
-    state = GaussianState(
-        np.ones(4), unknowns.family.nominal, root, np.empty((6, 0)), (), parameters=2
-    )
-    wider = filter_.widened(state, 50.0, np.full(4, 1e6))
-    covariance = wider.root[:4] @ wider.root[:4].T
-    np.testing.assert_allclose(covariance, 2500.0 * root[:4] @ root[:4].T, rtol=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(wider.root[4:], axis=1), [0.05, 0.02])
-
-
-def test_a_widened_covariance_stays_as_large_as_the_motion() -> None:
-    """In each direction, and where a part is widened only there."""
-    filter_ = ImpactFilter(chain(3))
-    root = np.random.default_rng(5).normal(size=(6, 6))
-    state = GaussianState(np.ones(6), np.empty(0), root, np.empty((6, 0)), ())
-    wider = filter_.widened(state, 1e6, np.full(6, 2.0)).root
-    np.testing.assert_allclose(np.linalg.norm(wider, axis=1), 20.0, rtol=1e-3)
-    part = np.array([True, False, False])
-    some = filter_.widened(state, 50.0, np.full(6, 1e6), part).root
-    here = np.tile(part, 2)
-    P, covariance = root @ root.T, some @ some.T
-    np.testing.assert_allclose(
-        covariance[np.ix_(here, here)], 2500 * P[np.ix_(here, here)], rtol=1e-6
-    )
-    np.testing.assert_allclose(
-        covariance[np.ix_(~here, ~here)], P[np.ix_(~here, ~here)], rtol=1e-6
-    )

@@ -8,15 +8,15 @@ import pytest
 from systems import sample
 
 from impact_observer.errors import UsageError
-from impact_observer.filter.uncertainty import (
+from impact_observer.model import parse_model
+from impact_observer.observer import Options, make_observer
+from impact_observer.observer.uncertainty import (
     Uncertainty,
     covariance_root,
     deviation_of,
     spread,
     suggested_deviation,
 )
-from impact_observer.model import parse_model
-from impact_observer.observer import Options, make_observer
 
 SYSTEM = sample("two_mass").system
 

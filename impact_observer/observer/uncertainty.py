@@ -9,12 +9,11 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from impact_observer.errors import UsageError
-from impact_observer.filter.contradiction import Declared
-from impact_observer.filter.saltation import STATE_ROUNDING
-from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.time_shift import NO_SHIFT, TimeShift
+from impact_observer.observer.contradiction import Declared
+from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.options import Options, highest
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector, frozen
@@ -23,6 +22,8 @@ LARGEST_DEVIATION = 1e9
 """Most that a standard deviation of the initial state may be, SI units."""
 _FAR_FROM_ONE = 30.0
 """Ratio to the default from which on another deviation is suggested."""
+_ROUNDING = float(np.finfo(np.float64).eps)
+"""Rounding of a state, relative to the sizes of its motion."""
 _RIGID = 1e-12
 """Eigenvalue that counts as zero, relative to the largest."""
 _LIMITED = (
@@ -121,7 +122,7 @@ class Uncertainty:
 
     def least_deviations(self, x: Vector, sizes: Vector) -> Vector:
         """Standard deviations of ``x``, (q, u), by rounding and errors of the model, (2n,)."""
-        least = max(self.undeclared, STATE_ROUNDING) * sizes
+        least = max(self.undeclared, _ROUNDING) * sizes
         return np.asarray(np.hypot(least, self.shift.errors(x)))
 
     @property

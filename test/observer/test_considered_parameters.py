@@ -6,19 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, PRESSED, corrected, sample
+from systems import EPOCH, sample
 
 from impact_observer import Options, make_observer
 from impact_observer.errors import UsageError
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.gaussian_state import GaussianState
-from impact_observer.filter.impact_filter import ImpactFilter
-from impact_observer.filter.square_root import correction
-from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.observer import Observer
+from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, from_seconds, grid
 
@@ -33,53 +29,6 @@ def declared(model: Model, **deviations: float) -> Model:
     names = tuple(name.replace("__", ".").replace("_", "-") for name in deviations)
     covariance = np.diag([*deviations.values()]) ** 2
     return replace(model, uncertainty=ParameterUncertainty(names, covariance))
-
-
-def test_the_joint_gain_is_that_of_schmidts_equations() -> None:
-    """By Joseph's form: the gain is optimal but for the considered rows, where it is zero."""
-    rng = np.random.default_rng(2)
-    root, H = rng.normal(size=(5, 7)), rng.normal(size=(2, 5))
-    noise, rounded, considered = rng.normal(size=(2, 3)), [0.1, 0.2], [1, 4]
-    found = correction(root, H, noise, rounded, considered)
-    P, R = root @ root.T, noise @ noise.T + np.diag(rounded) ** 2
-    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    gain[considered] = 0.0
-    left = np.eye(5) - gain @ H
-    np.testing.assert_allclose(found.change(np.eye(2)), gain, atol=1e-12)
-    np.testing.assert_allclose(
-        found.root @ found.root.T, left @ P @ left.T + gain @ R @ gain.T, atol=1e-12
-    )
-
-
-@pytest.mark.parametrize("name", ["restitution.c1", "gap.c1", "stiffness-scale", "damping-scale"])
-def test_an_impact_changes_the_state_alone(name: str) -> None:
-    """The state is corrected as if the parameter were estimated; the parameter stays.
-
-    Its covariance is that of the estimated one, with what the parameter's gain would have taken
-    away, which has the effect of the parameter on the state after the impact.
-    """
-    own = UnknownParameters.named(PRESSED, [f"{name}=1e-4"])
-    others = replace(own, considered=(True,))
-    change = ContactChange(0.3, (), (0,), ())
-    w = PRESSED.W[:, 0]
-    x = np.concatenate([np.array([0.1, 0.05]), -0.9 * w])  # at the stop, and closing
-    x[:2] -= w * PRESSED.gap(x[:2])[0] / (w @ w)
-    root = 1e-4 * np.tril(np.random.default_rng(1).normal(size=(5, 5)))
-    root[4] = [0, 0, 0, 0, 1e-4]
-    state = GaussianState(x, own.family.nominal, root, np.zeros((5, 1)), (), 1)
-    (fit, estimated), (same, found) = (
-        corrected(ImpactFilter(PRESSED, 0.0, each), change, state, 1e-5) for each in (own, others)
-    )
-    assert same.density == pytest.approx(fit.density)
-    assert found.constants == own.family.nominal
-    np.testing.assert_allclose(found.root[4] @ found.root[4], 1e-8, rtol=1e-6)
-    gain = estimated.constants - own.family.nominal
-    lost = 1e-8 - estimated.root[4] @ estimated.root[4]
-    P, Q = estimated.root @ estimated.root.T, found.root @ found.root.T
-    if lost > 1e-12:  # the effect of the parameter on the state, as both covariances have it
-        slope = (Q - P)[:4, 4] / lost
-        np.testing.assert_allclose((Q - P)[:4, :4], lost * np.outer(slope, slope), atol=1e-13)
-        np.testing.assert_allclose(estimated.x - found.x, slope * gain, atol=2e-7)
 
 
 def plant_of(system: System, x: Array, seconds: float) -> Run:

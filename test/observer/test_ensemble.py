@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from systems import EPOCH, estimates, examples, observer, run, sample, systems, vectors
 
 from impact_observer.dynamics import lyapunov
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.uncertainty import spread
 from impact_observer.observer import Belief
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.uncertainty import spread
 
 
 def test_noted_maps_act_in_their_order() -> None:

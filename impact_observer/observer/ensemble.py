@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.kernel import sizes_by
 from impact_observer.states import Matrix, Vector
 
 
@@ -53,7 +52,13 @@ class Ensemble(NamedTuple):
 
     def sizes_by(self, metric: Matrix) -> tuple[float, float]:
         """``x^T metric x``, and the largest ``d^T metric d`` between two replicas; (2n, 2n)."""
-        return sizes_by(metric, self.x, self.differences)
+        with np.errstate(over="ignore", invalid="ignore"):
+            columns = self.differences
+            products = columns.T.dot(metric.dot(columns))
+            squares = np.diagonal(products)
+            apart = squares[:, None] + squares - 2 * products
+            largest = np.maximum(np.max(squares, initial=0.0), np.max(apart, initial=0.0))
+            return float(self.x.dot(metric.dot(self.x))), float(largest)
 
     def propagated(self, x: Vector, map_: Matrix) -> "Ensemble":
         """The estimate is ``x`` now; ``map_``, shape (2n, 2n), propagates all differences."""

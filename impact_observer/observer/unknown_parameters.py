@@ -7,13 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, is_observed, parametric_family
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector, frozen
+
+_RESTITUTION_DEVIATION = 0.1
+"""Prior deviation of a restitution that is estimated, where none is declared."""
+_DEVIATION = 0.05
+"""The same of any other parameter, relative to its size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,8 +125,8 @@ class UnknownParameters:
         deviations = []
         for each in family.parameters:
             kind = each.name.partition(".")[0]
-            usual = TUNING.parameter_deviation * each.size
-            usual = TUNING.restitution_deviation if kind == "restitution" else usual
+            usual = _DEVIATION * each.size
+            usual = _RESTITUTION_DEVIATION if kind == "restitution" else usual
             usual = known.get(each.name) or usual
             deviations.append(declared.get(each.name, declared.get(kind, usual)))
         return cls(family, np.diag(deviations) ** 2)
