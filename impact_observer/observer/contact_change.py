@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.events import Contacts, Kind
-from impact_observer.model import System
 from impact_observer.states import Vector
 
 
@@ -21,9 +20,6 @@ class ContactChange(NamedTuple):
         stamp: of the event, ns; 0 where it is not needed.
         sequence: of the event.
         flown: seconds since the event or the sample before.
-        flight: seconds since the event before, whatever was measured meanwhile.
-        disorder: by which its stamp is later than that of an event that came after it, s; 0 where
-            stamps are in the order of sequence numbers.
     """
 
     t: float
@@ -33,8 +29,6 @@ class ContactChange(NamedTuple):
     stamp: int = 0
     sequence: int = 0
     flown: float = 0.0
-    flight: float = 0.0
-    disorder: float = 0.0
 
     @classmethod
     def of(
@@ -46,8 +40,6 @@ class ContactChange(NamedTuple):
         stamp: int = 0,
         sequence: int = 0,
         flown: float = 0.0,
-        flight: float = 0.0,
-        disorder: float = 0.0,
     ) -> "ContactChange":
         """What ``switches`` of contacts at ``t`` mean while the contacts ``before`` are closed.
 
@@ -57,27 +49,13 @@ class ContactChange(NamedTuple):
         if not before and len(switches) == 1:
             ((contact, kind),) = switches
             if kind is Kind.IMPACT:  # as nearly always
-                return cls(t, before, (contact,), before, stamp, sequence, flown, flight, disorder)
+                return cls(t, before, (contact,), before, stamp, sequence, flown)
         hit = {contact for contact, kind in switches if kind is not Kind.OPEN}
         stay = {contact for contact, kind in switches if kind is Kind.CLOSE}
         opened = {contact for contact, kind in switches if kind is Kind.OPEN}
         closed = ({*before} - (hit - stay) | stay) - opened
         changed = tuple(sorted(hit)), tuple(sorted(closed))
-        return cls(t, before, *changed, stamp, sequence, flown, flight, disorder)
-
-    def from_closed(self, before: Contacts) -> "ContactChange":
-        """The same event where other contacts were closed before it."""
-        if before == self.before:
-            return self
-        stay = set(self.closed) & set(self.hit) | set(before) - set(self.hit)
-        opened = set(self.before) - set(self.closed)
-        return self._replace(before=before, closed=tuple(sorted(stay - opened)))
-
-    def is_plain(self, system: System) -> bool:
-        """Whether one contact hits while none is closed, by Newton's law."""
-        if len(self.hit) != 1 or self.before or self.closed:
-            return False
-        return system.is_plain(self.hit)
+        return cls(t, before, *changed, stamp, sequence, flown)
 
     @property
     def is_nothing(self) -> bool:
@@ -107,18 +85,6 @@ class ContactChange(NamedTuple):
     def active(self) -> Contacts:
         """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
         return tuple(sorted({*self.before, *self.hit})) if self.before else self.hit
-
-    def informative(self, held: Contacts, system: System) -> Contacts:
-        """The contacts whose guard is measured: those that hit, or one alone that opens.
-
-        The load of one that opens, among the ``held`` ones, has come down to zero, unless the
-        force jumps.
-        """
-        if self.hit:
-            return self.hit
-        opened = self.opened
-        jumps = system.forcing.jumps
-        return opened if len(opened) == 1 and opened[0] in held and not jumps else ()
 
     def pressed(self, newton: ImpactLaw, gamma: Vector) -> Contacts:
         """The contacts that take an impulse; those that stay closed have no speed afterwards.

@@ -28,7 +28,7 @@ from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.episode import require_epoch
-from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
+from impact_observer.observer.event_order import EventKey, Superseding, interpret
 from impact_observer.observer.impact_sides import ImpactSides, Near
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.readings import DeclaredSensor, Reading, SampleOutcome
@@ -431,8 +431,6 @@ class RunHistory:
             stamp=event.stamp,
             sequence=event.sequence,
             flown=s,
-            flight=seconds_between(previous.last[0], event.stamp) if previous.last[0] else s,
-            disorder=disorder(event, meaning, previous.latest),
         )
         try:
             posterior, x = self._corrected(previous, change)

@@ -103,14 +103,6 @@ class Uncertainty:
         """Whether every event is trusted, and each hit is one."""
         return not (self.missed or self.spurious or self.mislabelled or self.dead_time)
 
-    @property
-    def trusts_estimate(self) -> bool:
-        """Whether nothing makes the covariance of the estimate wrong.
-
-        Uncertain parameters may make it wrong though every event is true.
-        """
-        return self.trusts_events and self.unknowns is None
-
     def published_covariance(self, root: Matrix, x: Vector, sizes: Vector) -> Matrix:
         """The covariance ``root root^T`` as published: with rounding and errors of the model.
 
