@@ -1,27 +1,14 @@
 """Installs impact_observer: by colcon as an ament_python package, or by pip."""
 
 import os
-import runpy
-import subprocess
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from setuptools import find_packages, setup
-from setuptools.command.build_ext import build_ext
-from setuptools.errors import PlatformError
-
-try:
-    from pybind11.setup_helpers import ParallelCompile
-    from pybind11.setup_helpers import Pybind11Extension as Extension
-
-    ParallelCompile().install()
-except ModuleNotFoundError:  # pybind11-dev of Ubuntu has the headers alone, where g++ finds them
-    from setuptools import Extension  # type: ignore[no-redef]
+from setuptools.command.build_py import build_py
 
 NAME = "impact_observer"
 SHARE = Path("share", NAME)
-KERNEL = Path(NAME, "kernel")
-CHECKSUM = runpy.run_path(str(KERNEL / "sources.py"))["checksum"]
 
 
 def manifest(tag: str) -> str:
@@ -47,51 +34,19 @@ def shared(*roots: str) -> list[tuple[str, list[str]]]:
     ]
 
 
-class BuildKernel(build_ext):  # type: ignore[misc]
-    """Builds the kernel; colcon also runs this file where nothing is built."""
+class BuildPackage(build_py):  # type: ignore[misc]
+    """Copies the modules."""
 
-    def build_extensions(self) -> None:
-        """Strip the kernel, except with --debug.
-
-        Raises:
-            PlatformError: the compiler, the headers of Python or those of pybind11 are missing.
-        """
-        for extension in self.extensions:
-            extension.extra_compile_args += ["-O0"] if self.debug else []
-            extension.extra_link_args += [] if self.debug else ["-Wl,--strip-all"]
-        self._check_compiler()
-        if "COLCON" in os.environ:
-            self._seek_messages()
-        super().build_extensions()
-
-    def _seek_messages(self) -> None:
+    def run(self) -> None:
         """Say where the messages are if no prefix has them: colcon stops at this package.xml."""
+        super().run()
         prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
         messages = f"{NAME}_msgs"
-        if not any(Path(prefix, "share", messages).is_dir() for prefix in prefixes):
+        is_found = any(Path(prefix, "share", messages).is_dir() for prefix in prefixes)
+        if "COLCON" in os.environ and not is_found:
             root = Path(__file__).resolve().parent
             link = f"ln -s {root.name}/msg_defs {root.parent / messages}"
             self.warn(f"{messages} is not found: {link}, then colcon build again")
-
-    def _check_compiler(self) -> None:
-        """Let the compiler find the headers of pybind11, which include those of Python."""
-        command = [*self.compiler.compiler_cxx, "-E", "-x", "c++", "-"]
-        folders = [*self.compiler.include_dirs, *self.extensions[0].include_dirs]
-        command += [f"-I{folder}" for folder in folders]
-        header = "#include <pybind11/pybind11.h>"
-        try:
-            done = subprocess.run(
-                command, input=header, capture_output=True, text=True, check=False
-            )
-        except FileNotFoundError:
-            raise PlatformError(
-                f"no C++ compiler {command[0]}: sudo apt install build-essential"
-            ) from None
-        if done.returncode:
-            missing = "pybind11: pip install pybind11, or sudo apt install pybind11-dev"
-            if "Python.h" in done.stderr:
-                missing = "Python.h: sudo apt install python3-dev"
-            raise PlatformError(f"{command[0]} finds no {missing}")
 
 
 setup(
@@ -101,23 +56,9 @@ setup(
     maintainer=manifest("maintainer"),
     license="Apache-2.0",
     python_requires=">=3.10",
-    ext_modules=[
-        Extension(
-            f"{NAME}.kernel._kernel",
-            sorted(map(str, KERNEL.glob("*.cpp"))),
-            depends=sorted(map(str, KERNEL.glob("*.hpp"))),
-            define_macros=[("KERNEL_CHECKSUM", f'"{CHECKSUM(KERNEL)}"')],
-            language="c++",
-            # The same bits on every processor: no -march, no contraction to fused operations.
-            extra_compile_args=[
-                *("-std=c++17", "-O2", "-ffp-contract=off"),
-                *("-fvisibility=hidden", "-g0", "-Wall", "-Wextra"),
-            ],
-        )
-    ],
-    cmdclass={"build_ext": BuildKernel},
+    cmdclass={"build_py": BuildPackage},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "kernel/*.pyi"]},
+    package_data={NAME: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (str(SHARE), ["package.xml"]),

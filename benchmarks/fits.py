@@ -24,11 +24,11 @@ from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.smoothing import smoothed_runs
 from impact_observer.errors import DynamicsError, IdentificationError
 from impact_observer.events import ImpactEvent
-from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import Model, ParameterUncertainty, System, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer import Options, make_observer, replay_batches
+from impact_observer.observer.uncertainty import suggested_deviation
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimates
 

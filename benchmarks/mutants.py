@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("dynamics", "filter", "observer", "batch")
+ROOMS = ("dynamics", "bank", "observer", "batch")
 COUNT, SEED = 50, 0
 SWAPS: dict[type[ast.AST], Any] = {
     ast.Lt: ast.LtE,

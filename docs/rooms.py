@@ -20,16 +20,10 @@ class Room(NamedTuple):
 
 
 ROOMS: tuple[tuple[Room, ...], ...] = (
-    (
-        Room("model", "systems, model files, forcing, parameters", "ruamel.yaml, msgspec"),
-        Room("kernel", "what is compiled, C++: formulas without their theory", "pybind11"),
-    ),
+    (Room("model", "systems, model files, forcing, parameters", "ruamel.yaml, msgspec"),),
     (Room("dynamics", "flow of a phase, contact laws, guards and event location"),),
     (Room("robots", "rigid bodies of a URDF: motion, contacts, derivatives", "pinocchio"),),
-    (
-        Room("plant", "event-driven plant, sensor and its faults"),
-        Room("filter", "the filter of robots, hypotheses as objects; sensors, what is declared"),
-    ),
+    (Room("plant", "event-driven plant, sensor and its faults"),),
     (Room("bank", "Kalman filter of impact times: hypotheses as arrays"),),
     (Room("observer", "observer, timeline with roll-back, verdicts, the laws"),),
     (

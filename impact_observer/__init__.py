@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimate the whole state of an impacting mechanical system from its impact times alone.
 
-Rooms, each importing only from those before it: ``model``, ``dynamics``, ``robots``, ``plant``
-and ``filter``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
+Rooms, each importing only from those before it: ``model``, ``dynamics``, ``robots``, ``plant``,
+``bank``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
 ``batch``, ``check``, ``recording`` and ``sweep``, then ``ros`` and ``cli``. The modules beside
 this file are the vocabulary that all rooms share: errors, stamps, events, states, options. The
 first rooms, up to ``observer``, need numpy and scipy only; a ``Robot`` needs pinocchio.

@@ -46,17 +46,6 @@ class UnsetError(UsageError):
         self.option = option
 
 
-class KernelError(ImpactObserverError, ImportError):
-    """The compiled part of the package is missing or out of date."""
-
-    def __init__(self, problem: str) -> None:
-        """Name the ``problem`` and its remedy."""
-        super().__init__(
-            f"impact_observer.kernel {problem}: run ./dev setup, or"
-            " pip install --no-build-isolation -e ."
-        )
-
-
 class ModelError(UsageError):
     """A model that is not a valid impacting system.
 

@@ -21,19 +21,16 @@ from numpy.typing import ArrayLike, NDArray
 from impact_observer.dynamics import Flow, Phases, lyapunov
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.gaussian_state import GaussianState
-from impact_observer.filter.impact_filter import EventQuery, ImpactFilter
-from impact_observer.filter.likelihood import Likelihood
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import Contact, Forcing, Model, System, parse_model, read_model
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.grounds import Grounds, motion_of
 from impact_observer.model.system import moving_system
 from impact_observer.observer import Observer, ReplicaLaw, law_named
 from impact_observer.observer.belief import Belief
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.kinematic import Kinematic
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.plant.switching import Switching
 from impact_observer.stamps import NS_PER_S, grid
@@ -305,16 +302,6 @@ def crossed(plant: Plant, seconds: float, most: int = 1000) -> list[Switching]:
         plant.cross(switching)
         found.append(switching)
     return found
-
-
-def corrected(
-    filter_: ImpactFilter, change: ContactChange, state: GaussianState, clock: float
-) -> tuple[Likelihood, GaussianState]:
-    """The likelihood of an event, and the state after it; ``clock`` is that of its stamp, s."""
-    asked = EventQuery(change, state, clock)
-    (likelihood,) = filter_.likelihoods([asked])
-    (posterior,) = filter_.posteriors([asked._replace(likelihood=likelihood)])
-    return likelihood, posterior
 
 
 def distance(model: System, one: Array, two: Array) -> float:

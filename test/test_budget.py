@@ -3,14 +3,12 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from impact_observer.bank.ladders import Numbers
 from impact_observer.cli.main import COMMANDS, main
-from impact_observer.filter.tuning import Tuning
 
 ROOT = Path(__file__).resolve().parents[1]
 HOUSE = (ROOT / "docs" / "house.md").read_text(encoding="utf-8")
@@ -38,15 +36,12 @@ def options(capsys: pytest.CaptureFixture[str]) -> int:
 
 
 MEASURES: dict[str, Callable[[pytest.CaptureFixture[str]], int]] = {
-    "lines of impact_observer/, Python": lambda _: lines("impact_observer", "*.py"),
-    "lines of impact_observer/, C++": lambda _: lines("impact_observer", "*.cpp", "*.hpp"),
+    "lines of impact_observer/": lambda _: lines("impact_observer", "*.py"),
     "lines of test/": lambda _: lines("test", "*.py"),
     "lines of benchmarks/": lambda _: lines("benchmarks", "*.py", "*.cpp"),
     "words of README.md and docs/": lambda _: words(),
     "options of the commands": options,
-    "tuned numbers, fields of `Tuning` and `Numbers`": lambda _: (
-        len(fields(Tuning)) + len(Numbers._fields)
-    ),
+    "tuned numbers, fields of `Numbers`": lambda _: len(Numbers._fields),
 }
 
 

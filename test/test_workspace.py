@@ -6,15 +6,12 @@ import re
 import shutil
 import subprocess
 import sys
-import sysconfig
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("colcon_core")
 pytest.importorskip("rosidl_cmake")
-
-from impact_observer.kernel import _kernel
 
 ROOT = Path(__file__).resolve().parents[1]
 PREFIX = Path(sys.executable).parents[1]
@@ -37,16 +34,12 @@ def clean_environment() -> dict[str, str]:
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Path:
-    """This repository in ``src``: the kernel is compiled already, and two messages suffice."""
-    unused = ("bags", "docs", "examples", "test", "build", ".?*", "__pycache__", "_kernel*.so")
+    """This repository in ``src``: two messages suffice."""
+    unused = ("bags", "docs", "examples", "test", "build", ".?*", "__pycache__")
     shutil.copytree(ROOT, tmp_path / "src/impact_observer", ignore=shutil.ignore_patterns(*unused))
     listed = tmp_path / "src/impact_observer/msg_defs/CMakeLists.txt"
     others = r"(?m)^  (?:msg|srv)/(?!ContactSwitch|ImpactEvent).*\n"  # ./dev setup builds all
     listed.write_text(re.sub(others, "", listed.read_text("utf-8")), "utf-8")
-    library = f"lib.{sysconfig.get_platform()}-{sys.implementation.cache_tag}"
-    kernel = tmp_path / "build/impact_observer/build" / library / "impact_observer/kernel"
-    kernel.mkdir(parents=True)
-    shutil.copyfile(str(_kernel.__file__), kernel / Path(str(_kernel.__file__)).name)
     return tmp_path
 
 

@@ -16,8 +16,8 @@ from impact_observer.bank.bank import (
     Missed,
     objects,
 )
+from impact_observer.bank.note import Note
 from impact_observer.events import MISLABELLED, Contacts, Kind, Ruling
-from impact_observer.filter.ledger import Note
 from impact_observer.stamps import Elapsed
 
 _KEPT = 64

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from impact_observer.batch.motion_fit import BatchProblem, linearised_fit
 from impact_observer.batch.passes import NoiseSizes
@@ -19,7 +20,6 @@ from impact_observer.batch.sample_rows import flight_samples
 from impact_observer.draw.reports import ReportLine, counted
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.filter.square_root import sparse_basis
 from impact_observer.model import System
 from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.contact_sensors import NO_SENSORS
@@ -124,7 +124,7 @@ def determined(
     states = rows.shape[1]
     singular = np.append(singular, np.zeros(max(states - singular.size, 0)))[:states]
     rank = int(np.sum(singular > _TOLERANCE * singular[0])) if singular[0] > 0 else 0
-    undetermined = sparse_basis(directions[rank:])
+    undetermined = _sparse_basis(directions[rank:])
     if undetermined.size:
         undetermined = undetermined / np.linalg.norm(undetermined, axis=1, keepdims=True)
         undetermined = _with_sign(np.where(np.abs(undetermined) > _CLEAN, undetermined, 0.0))
@@ -243,3 +243,11 @@ def _combination(found: Determined, direction: Vector) -> str:
     text = " + ".join(f"{direction[i]:#.2g} {found.system.state_names[i]}" for i in terms)
     more = len(worth) - len(terms)
     return text.replace("+ -", "- ") + (f" and {more} more" if more else "")
+
+
+def _sparse_basis(rows: Matrix) -> Matrix:
+    """Another basis of the span of ``rows``, each zero where another has its pivot."""
+    if len(rows) == 0:
+        return rows
+    pivots = linalg.qr(rows, mode="r", pivoting=True)[1][: len(rows)]
+    return np.asarray(linalg.solve(rows[:, sorted(pivots.tolist())], rows))

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.bank.note import Note
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ledger import Note
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.belief import Belief
+from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.stamps import Elapsed, seconds_between
 

@@ -13,10 +13,10 @@ from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.smoothed_run import SmoothedRun
 from impact_observer.batch.smoothing import smoothed_runs
 from impact_observer.events import epoch_before, events_at
-from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import Model, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options
+from impact_observer.observer.uncertainty import suggested_deviation
 from impact_observer.states import Vector
 
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ from impact_observer.batch.sample_rows import flight_samples
 from impact_observer.batch.verdict import FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError, IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.filter.uncertainty import deviation_of, suggested_deviation
 from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors
 from impact_observer.model.free_parameters import OFFSET, is_phase, parameters_beside
@@ -27,6 +26,7 @@ from impact_observer.model.system import refuse_squares
 from impact_observer.observer import Options
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
+from impact_observer.observer.uncertainty import deviation_of, suggested_deviation
 from impact_observer.states import Matrix, Vector
 
 _WIDE = 10.0

@@ -10,14 +10,14 @@ from impact_observer.batch.filter_account import TracedLaw, filter_moments
 from impact_observer.batch.moments import Moment, Moments, MomentSwitching
 from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.events import MISLABELLED, ImpactEvent, Kind, Ruling, Verdict
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer import Options, make_observer
+from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.episode import changes
 from impact_observer.observer.event_order import EventKey, keys_of
+from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Vector
 

@@ -14,8 +14,8 @@ from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.smoothed_states import own_instants, smoothed_states
 from impact_observer.dynamics.contact.impact_balance import impact_balance
 from impact_observer.events import ImpactEstimate, Ruling, SmoothedImpact, Verdict
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.observer.impact_sides import EXACT, REACH, side_error
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector
 

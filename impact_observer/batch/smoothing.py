@@ -17,7 +17,6 @@ from impact_observer.batch.sample_rows import flight_samples
 from impact_observer.batch.smoothed_run import SmoothedRun
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import Model, System
 from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.contact_sensors import NO_SENSORS
@@ -29,6 +28,7 @@ from impact_observer.observer import Options, initial_state, make_observer
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.sender_runs import placed
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix
 

@@ -17,9 +17,9 @@ from impact_observer.draw.reports import (
     print_facts,
     print_table,
 )
-from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
+from impact_observer.observer.uncertainty import suggested_deviation
 from impact_observer.plain_text import say
 from impact_observer.states import Vector
 

@@ -75,11 +75,11 @@ def _checked(read: "Model", *, as_json: bool) -> dict[str, object]:
 def _determined(read: "Model", args: argparse.Namespace) -> "Determined":
     """What the impacts in a bag say of the state at their start."""
     from impact_observer.batch.determined import determined
-    from impact_observer.filter.uncertainty import deviation_of
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import events_in
     from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.observer.uncertainty import deviation_of
 
     system, declared = read.system, read_measurements(args.measurements)
     deviation = deviation_of(args.initial_deviation or Options.initial_deviation, system)

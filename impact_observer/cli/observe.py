@@ -143,7 +143,7 @@ def remarks(
     """What makes the estimates doubtful, the worst first."""
     from impact_observer.draw.reports import counted
     from impact_observer.events import Remark, Ruling
-    from impact_observer.filter.misfit import MISFIT
+    from impact_observer.observer.misfit import MISFIT
 
     law, samples_of = observer.law, observer.samples
     if unexplained := observer.remarks[Remark.MISFIT]:
@@ -180,7 +180,7 @@ def fitted_to(model: "Model", stamps: Iterable[int]) -> Iterator[str]:
 def contradictions_of(observer: "Observer") -> Iterator[str]:
     """What was learned, and is far from what was declared."""
     from impact_observer.draw.reports import figure
-    from impact_observer.filter.contradiction import contradictions
+    from impact_observer.observer.contradiction import contradictions
 
     learned = observer.estimate(observer.last_event).parameters
     declared = observer.law.uncertainty.declared_constants

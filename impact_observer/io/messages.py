@@ -28,9 +28,9 @@ from impact_observer.events import (
     Switch,
     Verdict,
 )
-from impact_observer.filter.misfit import EXPLAINED
 from impact_observer.io import interfaces
 from impact_observer.io.typestores import typestore
+from impact_observer.observer.misfit import EXPLAINED
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 from impact_observer.states import Estimate, Vector, frozen
 

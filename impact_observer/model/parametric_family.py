@@ -205,19 +205,6 @@ class ParametricFamily:
                 changed |= {name: changed[name] + by * part for name, part in parts.items()}
         return Coefficients(**changed)
 
-    def force_changes(self, values: Vector, t: float) -> Matrix:
-        """Derivative of the force at ``t``, s since the epoch, by each parameter, shape (p, n)."""
-        changes = np.zeros((self.size, self.system.n))
-        if all(parts.keys().isdisjoint(_OF_FORCING) for _, parts in self._effects):
-            return changes
-        coefficients = self.coefficients_at(values)
-        amplitudes, by_parameter = self.harmonics(coefficients)
-        wave = np.exp(1j * coefficients.frequency * t)
-        for j, effect in enumerate(each.effect for each in self.parameters):
-            late = wave * (1j * t * effect.frequency)
-            changes[j] = (wave @ by_parameter[j] + late @ amplitudes).real + effect.constant
-        return changes
-
     def harmonics(
         self, coefficients: Coefficients
     ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

@@ -10,11 +10,9 @@ from impact_observer.observer.make_observer import (
 )
 from impact_observer.observer.observer import Observer
 from impact_observer.observer.replay import replay, replay_batches
-from impact_observer.observer.synchronization import LARGEST_INNOVATION
 from impact_observer.options import Options
 
 __all__ = [
-    "LARGEST_INNOVATION",
     "Belief",
     "Law",
     "Observer",

@@ -11,12 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.bank.bank import Bank
+from impact_observer.bank.note import Note
 from impact_observer.events import Contacts
-from impact_observer.filter.branching import Extent
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.hypotheses import Hypothesis
-from impact_observer.filter.ledger import Note
-from impact_observer.filter.misfit import Fit
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.states import Matrix, Vector
 
 _NOTHING: Mapping[int, float] = MappingProxyType({})
@@ -40,24 +37,6 @@ class Learned:
 _NO_PARAMETERS = Learned()
 
 
-class Fallback(NamedTuple):
-    """Where a law restarts when all hypotheses are rejected.
-
-    Attributes:
-        x: (q, u), shape (2n,).
-        largest: magnitude of each component so far, the initial standard deviation
-            included, shape (2n,).
-    """
-
-    x: Vector
-    largest: Vector
-
-    @property
-    def extent(self) -> Extent:
-        """How large the motion is."""
-        return Extent(self.x, self.largest)
-
-
 class Onset(NamedTuple):
     """A state before an impact.
 
@@ -76,7 +55,7 @@ class Belief(NamedTuple):
     Attributes:
         ensemble: the estimate, and replicas with other initial states.
         root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, 2n); None for
-            a law without covariance, for the prior of an event, and after a sample in a bank.
+            a law without covariance.
         bound: certified upper bound of V, J; None where nothing is certified.
         inconsistent: whether events have contradicted the declared model or uncertainty: the
             bound fell below zero.
@@ -84,10 +63,6 @@ class Belief(NamedTuple):
         accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
         learned: estimated parameters, computed at the first request.
-        fit: how the model has explained the latest events, for a law with innovations.
-        hypotheses: hypotheses of a law that has several, the likeliest first; else empty. The
-            estimate is that of the first, the covariance that of the whole mixture.
-        fallback: where a law with hypotheses restarts; None for others.
         misfit: the warning that the model does not explain the impacts; empty without misfit.
         onset: the state before an impact that has an uncertain instant; the other states are those
             after the jump.
@@ -107,9 +82,6 @@ class Belief(NamedTuple):
     accepted: bool = True
     clock_offset: float = 0.0
     learned: Learned = _NO_PARAMETERS
-    fit: Fit = Fit()
-    hypotheses: tuple[Hypothesis, ...] = ()
-    fallback: Fallback | None = None
     misfit: str = ""
     onset: Onset | None = None
     unmeasured: Vector | None = None
@@ -121,12 +93,12 @@ class Belief(NamedTuple):
     @property
     def weighs(self) -> bool:
         """Whether its law weighs what each event was."""
-        return bool(self.hypotheses) or self.bank is not None
+        return self.bank is not None
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """What the likeliest hypothesis decides on the latest events."""
-        return self.hypotheses[0].ledger.notes if self.hypotheses else self.noted
+        return self.noted
 
     @property
     def x(self) -> Vector:
@@ -178,10 +150,6 @@ class Prediction(ABC):
         """``Belief.root`` after ``s`` seconds, without propagating the other replicas."""
         del s
         return None
-
-    def agreeing_root(self, s: float) -> Matrix | None:
-        """A root of the covariance after ``s`` seconds, of the hypotheses ``agreeing`` alone."""
-        return self.root(s)
 
     def silence(self, s: float) -> str:
         """The warning that predicted impacts have not come for ``s`` seconds; empty if none is."""

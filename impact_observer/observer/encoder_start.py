@@ -8,9 +8,9 @@ from copy import copy
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.filter.uncertainty import deviation_of
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer.event_order import EventKey
+from impact_observer.observer.uncertainty import deviation_of
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Vector

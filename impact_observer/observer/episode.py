@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.filter.contact_change import ContactChange
 from impact_observer.model import System
+from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.event_order import EventKey, interpretations, keys_of
 from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import seconds_between

@@ -13,8 +13,8 @@ from itertools import groupby
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import Contacts, ImpactEvent, Kind
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.stamps import NS_PER_S, seconds_between
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.stamps import NS_PER_S
 
 NEAR_NUMBERS = 1000
 """Largest difference of the sequence numbers of two events whose stamps jitter has swapped."""
@@ -150,21 +150,6 @@ def _newest_near(event: EventKey, latest: tuple[int, int] | None) -> int:
     number, stamp = latest
     is_near = event.stamp - stamp <= NEAR_STAMPS
     return number if is_near and 0 < number - event.sequence <= NEAR_NUMBERS else 0
-
-
-def disorder(event: EventKey, meaning: Interpretation, latest: LatestSequences) -> float:
-    """By how much ``event`` is stamped later than an event that was sent after it, s.
-
-    Args:
-        event: the event.
-        meaning: interpretation of the event.
-        latest: sequence numbers before the event.
-    """
-    if not meaning.overruled:
-        return 0.0
-    newer = (latest[each.contact] for each in meaning.overruled if each.contact in latest)
-    stamps = [stamp for number, stamp in newer if number > event.sequence]
-    return seconds_between(min(stamps), event.stamp) if stamps else 0.0
 
 
 def superseding(i: int, events: Sequence[EventKey]) -> Superseding:

@@ -6,25 +6,26 @@ of the two velocities is an error with the probability that the plant is on the 
 """
 
 import math
-from functools import lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from impact_observer.dynamics import KEPT
+from impact_observer.dynamics import Mechanism, mechanism_of
 from impact_observer.events import Contacts
-from impact_observer.filter.impact_filter import gap_deviation_near
-from impact_observer.filter.model_error import unit_kicks
-from impact_observer.kernel._kernel import TINY
+from impact_observer.model import System
 from impact_observer.observer.belief import Onset
 from impact_observer.observer.laws.law import Law
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
 REACH = 5.0
 """Deviations of an instant beyond which the side is certain."""
 EXACT = 2e-9
 """Deviation of a stamp, s, below which only rounding is uncertain: an event tells the side."""
+_TINY = 1e-150
+"""Standard deviation instead of zero."""
 
 
 class Near(NamedTuple):
@@ -48,8 +49,12 @@ class ImpactSides:
 
     def __init__(self, law: Law) -> None:
         """Of the estimates of a ``law`` with a covariance."""
-        self._law, self._missed = law, law.uncertainty.missed
-        self._kicks = lru_cache(KEPT)(unit_kicks)
+        self._system: System | Robot = law.system
+        self._missed = law.uncertainty.missed
+
+    @cached_property
+    def _mechanism(self) -> Mechanism:
+        return mechanism_of(self._system)
 
     def errors(
         self, near: Near, x: Vector, root: Matrix, s: float, closed: Contacts
@@ -58,21 +63,20 @@ class ImpactSides:
 
         ``root`` is one of the covariance of ``x`` on its side; contacts are ``closed``.
         """
-        system, found = self._law.near(x), list[Vector]()
-        n = system.n
+        system, n = self._mechanism.near(x, np.zeros(0)), self._system.n
+        found = list[Vector]()
         clock = near.clock if near.clock > EXACT else 0.0
         gaps, speeds = system.gap(x[:n]).tolist(), system.contact_speed(x[n:]).tolist()
         for i, (gap, speed) in enumerate(zip(gaps, speeds, strict=True)):
             if speed >= 0 or i in closed:
                 continue
-            deviation = gap_deviation_near(system, i, root)
+            deviation = _gap_deviation(system, i, root)
             if gap < REACH * (deviation - speed * clock):
                 share = self._hit_before(-gap / speed, -deviation / speed, clock)
                 lost = speed + float(system.rebounds[i].rebound(np.array(speed)))
                 ago = max(gap / speed, 0.0)
-                found.append(
-                    self._error((near.t, x), share, -lost * self._kicks(system)[:, i], ago, closed)
-                )
+                kick = -lost * self._mechanism.stops(x, (i,))[:, 0]
+                found.append(self._error((near.t, x), share, kick, ago, closed))
         onset = near.onset
         if onset is None or not clock or s > REACH * clock:
             return found
@@ -81,10 +85,10 @@ class ImpactSides:
         if i in closed:
             ago = -clock  # a motion that is stopped does not tell when
         elif speeds[i] > 0:
-            away = gaps[i] / max(gap_deviation_near(system, i, root), TINY)
+            away = gaps[i] / max(_gap_deviation(system, i, root), _TINY)
             ago = min(gaps[i] / speeds[i], 0.0)
         jump = system.W[:, hit].T.dot(onset.x[n:] - near.after[n:])
-        kick, share = self._law.moving.stops(x, onset.hit).dot(jump), float(special.ndtr(-away))
+        kick, share = self._mechanism.stops(x, onset.hit).dot(jump), float(special.ndtr(-away))
         free = tuple(j for j in closed if j not in hit)
         return [*found, self._error((near.t, x), share, kick, ago, free)]
 
@@ -95,7 +99,9 @@ class ImpactSides:
         error = side_error(share, kick)
         if not ago:
             return error
-        return self._law.moving.carried(*at, error[:, None], ago, closed)[:, 0]
+        t, x = at
+        flown = self._mechanism.flown([t], x[None], np.array([ago]), closed)
+        return np.asarray(flown.Phi[0].dot(error))
 
     def _hit_before(self, later: float, deviation: float, clock: float) -> float:
         """The probability that an impact has been and was not reported yet.
@@ -103,13 +109,19 @@ class ImpactSides:
         Its instant is ``later`` than now with this ``deviation``, s, its stamp than that with the
         deviation ``clock``. The stamp, too, is later than now, or never comes.
         """
-        deviation = max(deviation, TINY)
+        deviation = max(deviation, _TINY)
         stamped = -later / math.hypot(deviation, clock)
         been, seen = special.ndtr([-later / deviation, stamped]).tolist()
         # Of two normal numbers whose correlation is the ratio of their deviations (Owen, 1956).
         waits = (been - seen) / 2 + float(special.owens_t(stamped, clock / deviation))
         waits = (1 - self._missed) * max(waits, 0.0) + self._missed * been
-        return float(waits / max(waits + 1 - been, TINY))
+        return float(waits / max(waits + 1 - been, _TINY))
+
+
+def _gap_deviation(near: System, contact: int, root: Matrix) -> float:
+    """The standard deviation of a gap, m, by a ``root`` of the covariance, shape (2n, any)."""
+    seen = near.W[:, contact].dot(root[: near.n])
+    return math.sqrt(seen.dot(seen))
 
 
 def side_error(share: float, kick: Vector) -> Vector:

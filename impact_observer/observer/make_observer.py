@@ -8,9 +8,6 @@ from typing import cast
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.filter.tuning import TUNING
-from impact_observer.filter.uncertainty import Uncertainty, deviation_of
-from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
 from impact_observer.model.contact_errors import ContactErrors
 from impact_observer.model.live_signals import connected
@@ -20,10 +17,18 @@ from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
+from impact_observer.observer.uncertainty import Uncertainty, deviation_of
+from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot, connected_robot, observed
 from impact_observer.robots.robot_family import RobotFamily
 from impact_observer.states import Vector
+
+_UNDECLARED_ERROR = 1e-5
+"""Least deviation that is published, over the motion, where a model file declares no number
+exact: a relative 1e-6 of stiffness, mass, damping, amplitude, gaps and restitutions makes
+errors of up to ten times that. See docs/theory/filter.md.
+"""
 
 
 def make_observer(
@@ -52,7 +57,7 @@ def make_observer(
         raise UsageError(f"make_observer: {options!r} found; expected Options(), by default None")
     is_exact = isinstance(model, System)
     model = model_of(model, "make_observer")
-    undeclared = 0.0 if is_exact or model.has_exact_numbers else TUNING.undeclared_error
+    undeclared = 0.0 if is_exact or model.has_exact_numbers else _UNDECLARED_ERROR
     law = law or law_named(options.law)
     system: System | Robot
     if model.robot is not None:
@@ -69,7 +74,6 @@ def make_observer(
         names = system.contact_names
         known = replace(known, contacts=ContactErrors.of(model.sensors, names, options.missed))
     encoders = encoder_start(options, system, measurements)
-    law = law.for_kind(type(system))
     return Observer(
         system,
         law(cast(System, system), declared_by(options, system, known, encoders)),

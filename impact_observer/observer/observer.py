@@ -24,8 +24,6 @@ from impact_observer.events import (
     epoch_before,
     events_at,
 )
-from impact_observer.filter.readings import sensors_of
-from impact_observer.filter.uncertainty import covariance_root, spread
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
@@ -34,11 +32,13 @@ from impact_observer.model.multibody import is_multibody
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.readings import sensors_of
 from impact_observer.observer.run_history import RunHistory, misplaced
 from impact_observer.observer.samples import SampleStream, SensorSample
 from impact_observer.observer.sender_runs import SenderRun, SenderRuns
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
+from impact_observer.observer.uncertainty import covariance_root, spread
 from impact_observer.observer.verdicts import with_reasons
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot
@@ -158,7 +158,6 @@ class Observer:
         self._starts: Matrix | None = None
         self._test = SynchronizationTest(system)
         self._history = from_seconds(history)
-        self._scales = law.moving.scales
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}
         self.given_epoch = whole_stamp(epoch, "epoch")

@@ -8,6 +8,7 @@ from math import isfinite
 
 import numpy as np
 
+from impact_observer.dynamics import Scales, mechanism_of
 from impact_observer.errors import (
     DynamicsError,
     ImpactLawError,
@@ -22,18 +23,20 @@ from impact_observer.events import (
     Ruling,
     Verdict,
 )
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.readings import DeclaredSensor, Reading, SampleOutcome
+from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.episode import require_epoch
-from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
+from impact_observer.observer.event_order import EventKey, Superseding, interpret
 from impact_observer.observer.impact_sides import ImpactSides, Near
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.readings import DeclaredSensor, Reading, SampleOutcome
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
@@ -95,7 +98,7 @@ class RunHistory:
         self.numbers = SequenceNumbers()
         self._first_entry, self._history = first_entry, history
         self._system = law.system
-        self._scales = law.moving.scales
+        self._scales = _scales_of(law.system)
         self._names = self._system.contact_names
         self._sides = ImpactSides(law)
         self._issued = IssuedVerdicts(self._names)
@@ -108,7 +111,7 @@ class RunHistory:
 
     def _timeline_from(self, stamp: int) -> Timeline:
         """The initial state at a stamp (ns)."""
-        return Timeline(self._first_entry(stamp), self.apply, self.measured)
+        return Timeline(self._first_entry(stamp), self.apply)
 
     def go_on_from(self, stamp: int) -> bool:
         """Forget the past before ``stamp`` (ns) if no event is later; returns whether so."""
@@ -291,8 +294,6 @@ class RunHistory:
         belief, prediction = entry.belief, self.prediction(entry)
         n, s = self._system.n, seconds_between(entry.since, stamp)
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
-        if root is None and law.has_covariance:  # the root after a sample is computed on request
-            root = prediction.root(0.0)
         closed, silence = prediction.closed(s), prediction.silence(s)
         covariance = NO_COVARIANCE
         if root is not None:
@@ -308,10 +309,7 @@ class RunHistory:
             covariance=covariance,
             closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
             convergence=entry.synchronization.convergence,
-            synchronized=law.uses_events
-            and not silence
-            and belief.fit.is_established
-            and self._is_synchronized(entry, s, root),
+            synchronized=law.uses_events and not silence and self._is_synchronized(entry, root),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
             misfit=belief.misfit or silence,
@@ -321,13 +319,10 @@ class RunHistory:
             last_event=entry.last[0],
         )
 
-    def _is_synchronized(self, entry: Entry, s: float, root: Matrix | None) -> bool:
-        """Whether an estimate is, ``s`` seconds after an entry, that has a ``root`` if any."""
+    def _is_synchronized(self, entry: Entry, root: Matrix | None) -> bool:
+        """Whether an estimate some time after an entry is, which has a ``root`` if any."""
         doubt = None if root is None else self.law.doubt(entry.belief, root)
-        if doubt is not None:
-            return not doubt
-        tested = self._tested(entry, s, root)
-        return self.test.is_synchronized(entry.synchronization, tested)
+        return self.test.is_synchronized(entry.synchronization) if doubt is None else not doubt
 
     def _entry(self, stamp: int) -> Entry:
         """The last entry up to ``stamp`` (ns).
@@ -347,7 +342,6 @@ class RunHistory:
     def obstacle(self, stamp: int) -> str:
         """See ``Observer.obstacle``."""
         entry, law = self._entry(stamp), self.law
-        fit, root = entry.belief.fit, entry.belief.root
         if not law.uses_events:
             return f"{law.name} uses no events"
         if law.has_covariance:
@@ -355,30 +349,22 @@ class RunHistory:
             prediction = self.prediction(entry)
             if prediction.silence(after):
                 return "predicted impacts are not reported"
-            own = prediction.root(after)
-            if own is not None and (doubt := law.doubt(entry.belief, own)) is not None:
+            root = prediction.root(after)
+            if root is not None and (doubt := law.doubt(entry.belief, root)) is not None:
                 return doubt
-            root = self._tested(entry, after, prediction.root(after))
-        return fit.doubt or self.test.obstacle(entry.synchronization, root) or fit.untested
+        return self.test.obstacle(entry.synchronization)
 
     def silence(self, stamp: int) -> str:
         """See ``Observer.silence``."""
         entry = self._entry(stamp)
         return self.prediction(entry).silence(seconds_between(entry.since, stamp))
 
-    def _tested(self, entry: Entry, s: float, root: Matrix | None) -> Matrix | None:
-        """The root that is tested for the flag: of those ``agreeing`` where ``root`` is wide."""
-        if root is None or not self.test.is_wide(entry.synchronization, root):
-            return root
-        return self.prediction(entry).agreeing_root(s)
-
     def _both_sides(
         self, entry: Entry, s: float, x: Vector, root: Matrix, closed: Contacts | None
     ) -> Matrix:
         """``root``; near an uncertain impact with the errors of ``x`` on the other side."""
         belief, closed = entry.belief, entry.closed if closed is None else closed
-        clock = belief.hypotheses[0].clock if belief.hypotheses else belief.clock_deviation
-        near = Near(clock, belief.onset, belief.x, self._start_of(entry) + s)
+        near = Near(belief.clock_deviation, belief.onset, belief.x, self._start_of(entry) + s)
         errors = self._sides.errors(near, x, root, s, closed)
         return np.column_stack([root, *errors]) if errors else root
 
@@ -419,7 +405,7 @@ class RunHistory:
         return self._system.from_frame(stamps - self.epoch, x)
 
     def apply(self, previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
-        """The entry of ``event``, from the ``previous`` entry.
+        """The entry of ``event``, an event or a sample, from the ``previous`` entry.
 
         Raises:
             ImpactLawError: the impact law has no solution.
@@ -427,6 +413,8 @@ class RunHistory:
                 finite.
         """
         give_turn()
+        if event.sample:
+            return self._measured(previous, event)
         last = event.stamp, event.sequence
         meaning = interpret(event, previous.closed, previous.latest, superseding)
         if not meaning.switches:
@@ -443,8 +431,6 @@ class RunHistory:
             stamp=event.stamp,
             sequence=event.sequence,
             flown=s,
-            flight=seconds_between(previous.last[0], event.stamp) if previous.last[0] else s,
-            disorder=disorder(event, meaning, previous.latest),
         )
         try:
             posterior, x = self._corrected(previous, change)
@@ -473,29 +459,9 @@ class RunHistory:
             belief = self.prediction(previous).belief(s)
         return self.law.correct(change, belief), belief.x
 
-    def measured(self, previous: Entry, samples: Sequence[EventKey]) -> list[Entry]:
-        """The entries of ``samples`` of one stamp, from the ``previous`` entry.
-
-        Raises:
-            DynamicsError: the estimate is not finite.
-        """
-        give_turn()
-        stamp = samples[0].stamp
-        since, s = self._since(previous, stamp), seconds_between(previous.since, stamp)
-        readings = [self._reading(previous, each) for each in samples]
-        if not any(each.is_blanked for each in readings):
-            made = self.law.followed(readings, previous.belief, since, s)
-            if made is not None:
-                return _entries(previous, samples, *made)
-        if len(samples) == 1:
-            return [self._measured_alone(previous, samples[0], readings[0])]
-        entries = list[Entry]()
-        for each in samples:
-            entries += self.measured(entries[-1] if entries else previous, [each])
-        return entries
-
-    def _measured_alone(self, previous: Entry, event: EventKey, reading: Reading) -> Entry:
+    def _measured(self, previous: Entry, event: EventKey) -> Entry:
         """The entry of a sample; a sample that is not used leaves the motion unchanged."""
+        reading = self._reading(previous, event)
         if reading.is_blanked:
             ago, blanking = reading.since_impact, reading.sensor.measurement.blanking
             reason = f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
@@ -505,13 +471,23 @@ class RunHistory:
         prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
         posterior, outcome = self.law.measure(reading, prior)
         if posterior is prior:
-            now = _rejected_after(previous, [event], [outcome])
+            now = _rejected_after(previous, event, outcome)
             return replace(previous, key=event, overruled=(), outcome=outcome, rejected=now)
-        return _entries(previous, [event], posterior, [outcome])[0]
-
-    def _since(self, entry: Entry, stamp: int) -> float:
-        """When the belief of ``entry`` holds, s since the epoch; by default ``stamp`` (ns)."""
-        return seconds_between(self.epoch or stamp, entry.since)
+        if not isfinite(posterior.x.dot(posterior.x)):
+            raise DynamicsError(f"at {text(event.stamp)} s: the estimate is not finite any more")
+        return Entry(
+            event,
+            event.stamp,
+            posterior,
+            previous.synchronization,
+            previous.closed,
+            previous.latest,
+            (),
+            previous.last,
+            previous.impact,
+            outcome,
+            _rejected_after(previous, event, outcome),
+        )
 
     def _reading(self, previous: Entry, event: EventKey) -> Reading:
         """A sample, after the ``previous`` entry."""
@@ -549,50 +525,23 @@ def _before(start: int) -> str:
     return f"before {text(start)} s, the start of the history"
 
 
-def _entries(
-    previous: Entry,
-    samples: Sequence[EventKey],
-    posterior: Belief,
-    outcomes: Sequence[SampleOutcome],
-) -> list[Entry]:
-    """The entries of ``samples`` of one stamp; all have the ``posterior`` after the last one.
-
-    Raises:
-        DynamicsError: it is not finite.
-    """
-    stamp = samples[0].stamp
-    if not isfinite(posterior.x.dot(posterior.x)):
-        raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
-    rejected = _rejected_after(previous, samples, outcomes)
-    return [
-        Entry(
-            event,
-            stamp,
-            posterior,
-            previous.synchronization,
-            previous.closed,
-            previous.latest,
-            (),
-            previous.last,
-            previous.impact,
-            outcome,
-            rejected,
-        )
-        for event, outcome in zip(samples, outcomes, strict=True)
-    ]
-
-
-def _rejected_after(
-    previous: Entry, samples: Sequence[EventKey], outcomes: Sequence[SampleOutcome]
-) -> Mapping[int, int]:
-    """How many samples in a row of each sensor were rejected, after ``samples``.
+def _rejected_after(previous: Entry, event: EventKey, outcome: SampleOutcome) -> Mapping[int, int]:
+    """How many samples in a row of each sensor were rejected, after a sample.
 
     A sample without an innovation in deviations says nothing.
     """
     rejected = dict(previous.rejected)
-    for event, of_sample in zip(samples, outcomes, strict=True):
-        if of_sample.accepted:
-            rejected.pop(event.sensor, None)
-        elif of_sample.normalized >= 0:
-            rejected[event.sensor] = rejected.get(event.sensor, 0) + 1
+    if outcome.accepted:
+        rejected.pop(event.sensor, None)
+    elif outcome.normalized >= 0:
+        rejected[event.sensor] = rejected.get(event.sensor, 0) + 1
     return rejected
+
+
+def _scales_of(system: System | Robot) -> Scales:
+    """The scales of motions while nothing is held; of a robot every coordinate is a mode."""
+    if not isinstance(system, Robot):
+        return Scales.of_equations(system)
+    unit, seconds = np.eye(system.n), mechanism_of(system).timescale
+    squares = np.full(system.n, seconds**-2)
+    return Scales(squares, unit, unit, unit, 1.0 / seconds, seconds)

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from impact_observer.events import MeasurementVerdict
-from impact_observer.filter.readings import DeclaredSensor, SampleOutcome
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.observer.event_order import EventKey
+from impact_observer.observer.readings import DeclaredSensor, SampleOutcome
 from impact_observer.stamps import MAX_STAMP
 
 MOST_KEPT = 20_000

@@ -13,7 +13,6 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Contacts, Kind
-from impact_observer.filter.readings import SampleOutcome
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import (
     EventKey,
@@ -22,6 +21,7 @@ from impact_observer.observer.event_order import (
     Superseding,
     superseding,
 )
+from impact_observer.observer.readings import SampleOutcome
 from impact_observer.observer.synchronization import Synchronization
 
 _BEFORE_EVENTS = -1
@@ -79,10 +79,6 @@ class Entry:
 
 Update: TypeAlias = Callable[[Entry, EventKey, Superseding], Entry]
 """The entry of an event, from the entry before it, the event and what supersedes it."""
-
-
-Measure: TypeAlias = Callable[[Entry, Sequence[EventKey]], list[Entry]]
-"""The entries of samples of one stamp, from the entry before them."""
 
 
 class Insertion(NamedTuple):
@@ -152,14 +148,10 @@ class Timeline:
         entries: the entry at the start of the past, then one entry an event.
     """
 
-    def __init__(self, first: Entry, update: Update, measure: Measure | None = None) -> None:
-        """Start with an ``initial_entry``.
-
-        Those of events are made by ``update``, and those of samples by ``measure``: all samples of
-        a stamp together, in whatever order they arrive.
-        """
+    def __init__(self, first: Entry, update: Update) -> None:
+        """Start with an ``initial_entry``; ``update`` makes those of events and samples."""
         self.entries = [first]
-        self._update, self._measure = update, measure
+        self._update = update
 
     @property
     def start(self) -> EventKey:
@@ -197,21 +189,9 @@ class Timeline:
         Raises:
             ImpactObserverError: they cannot be applied; nothing changes.
         """
-        entries = self._next(self.entries[-1], 0, keys)
+        entries = self._applied(self.entries[-1], keys)
         self.entries += entries
         return entries
-
-    def _next(self, previous: Entry, i: int, events: Sequence[EventKey]) -> list[Entry]:
-        """The entry of the ``i``-th event; of a sample, the entries of all samples of its stamp.
-
-        ``events`` are in order.
-        """
-        event, last = events[i], i + 1
-        if self._measure is None or not event.sample:
-            return [self._update(previous, event, superseding(i, events))]
-        while last < len(events) and events[last].stamp == event.stamp:
-            last += 1
-        return self._measure(previous, events[i:last])
 
     def inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Insertions]:
         """Put events that the timeline ``accepts`` in place, and apply later events again, once.
@@ -231,7 +211,7 @@ class Timeline:
             i = len(entries)
             previous = entries[-1] if entries else self.entries[same - 1]
             try:
-                entries += self._next(previous, i, events)
+                entries.append(self._update(previous, events[i], superseding(i, events)))
             except ImpactObserverError as error:
                 nearest = (*range(i, -1, -1), *range(i + 1, len(events)))
                 culprit = next(k for k in nearest if events[k] in new)
@@ -248,8 +228,7 @@ class Timeline:
     def _changed_by(self, new: Iterable[EventKey]) -> tuple[int, int]:
         """The places of the first entry at the earliest of the stamps, and of the first to change.
 
-        An event changes those after it, and those of its stamp that it supersedes; a sample all
-        samples of its stamp.
+        An event changes those after it, and those of its stamp that it supersedes.
         """
         earliest = min(new)
         first = changed = self._place(earliest)
@@ -260,9 +239,7 @@ class Timeline:
                     closing[contact] = min(closing.get(contact, key.sequence), key.sequence)
         while first > 1 and self.entries[first - 1].key.stamp == earliest.stamp:
             first -= 1
-            entry = self.entries[first]
-            is_beside = earliest.sample and entry.key.sample
-            if is_beside or (closing and _is_superseded(entry, closing)):
+            if closing and _is_superseded(self.entries[first], closing):
                 changed = first
         return first, changed
 
@@ -281,14 +258,11 @@ class Timeline:
         if previous.prediction is not None and not previous.prediction.follows_samples:
             previous.prediction = None
         events = [each.key for each in self.entries[first:]]
-        entries, i = list[Entry](), 0
-        while i < len(events):
-            made = list[Entry]()
+        entries = list[Entry]()
+        for i, event in enumerate(events):
             with suppress(ImpactObserverError):
-                made = self._next(previous, i, events)
-                entries += made
-                previous = made[-1]
-            i += max(len(made), 1)
+                previous = self._update(previous, event, superseding(i, events))
+                entries.append(previous)
         self.entries[first:] = entries
 
     def _after(self, stamp: int) -> int:
@@ -299,10 +273,10 @@ class Timeline:
         return bisect_right(entries, stamp, key=_stamp)
 
     def _applied(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
-        entries = list[Entry]()
-        while len(entries) < len(events):
-            entries += self._next(entries[-1] if entries else previous, len(entries), events)
-        return entries
+        entries = [previous]
+        for i, event in enumerate(events):
+            entries.append(self._update(entries[-1], event, superseding(i, events)))
+        return entries[1:]
 
     def accepts(self, key: EventKey) -> bool:
         """Whether the past still reaches back to an event.

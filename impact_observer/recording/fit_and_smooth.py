@@ -14,7 +14,6 @@ from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.smooth_bag import BagSmoothing, smooth_bag
 from impact_observer.errors import DynamicsError, IdentificationError
 from impact_observer.events import ImpactEvent
-from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
 from impact_observer.model import Model, parse_model
@@ -23,6 +22,7 @@ from impact_observer.model.model_file import FITS, ModelText
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.model.yaml_text import edited
 from impact_observer.observer import Options
+from impact_observer.observer.uncertainty import suggested_deviation
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix
 

@@ -5,14 +5,12 @@ from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot import robot_of as multibody
 from impact_observer.robots.robot_mechanism import RobotMechanism
 from impact_observer.robots.robot_parameters import jump_by_parameters, rates_by_parameters
-from impact_observer.robots.robot_readings import RobotReading
 from impact_observer.robots.robot_report import robot_json as report
 from impact_observer.robots.velocity_observer import VelocityObserver
 
 __all__ = [
     "Robot",
     "RobotMechanism",
-    "RobotReading",
     "VelocityObserver",
     "jump_by_parameters",
     "multibody",

@@ -18,13 +18,13 @@ from std_srvs.srv import Trigger
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Ruling, Verdict
-from impact_observer.filter.misfit import EXPLAINED
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import efforts_on
 from impact_observer.io.messages import AnyMessage
 from impact_observer.model import read_model
 from impact_observer.model.measurements_file import read_measurements
-from impact_observer.observer import LARGEST_INNOVATION, initial_state, make_observer
+from impact_observer.observer import initial_state, make_observer
+from impact_observer.observer.misfit import EXPLAINED
 from impact_observer.options import Options, Value
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import FOLLOWING, BaseNode, Receiver, without_numbers
@@ -46,6 +46,8 @@ _TURN = 0.05
 
 The same processor time is for the predictions that are due together.
 """
+_LARGE_INNOVATION = 6.0
+"""Innovation, in standard deviations, up to which the declared uncertainty explains an event."""
 _BRIEF = 0.01
 """Time that estimates may take without a rest after them, s."""
 _LONGEST_REST = 0.25
@@ -317,7 +319,7 @@ class ObserverNode(BaseNode):
 
     def _publish_verdicts(self, verdicts: Iterable[Verdict], latency: float) -> None:
         for verdict in verdicts:
-            self._diagnostics.count(verdict, large=verdict.innovation > LARGEST_INNOVATION)
+            self._diagnostics.count(verdict, large=verdict.innovation > _LARGE_INNOVATION)
             self._log(verdict)
             self.publish(self._verdicts, self.make.verdict, verdict, latency)
 

@@ -11,7 +11,6 @@ from systems import jammed
 
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Switch
-from impact_observer.filter.misfit import MISFIT
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
@@ -19,6 +18,7 @@ from impact_observer.io.writer import BagWriter
 from impact_observer.model import read_model
 from impact_observer.observer import Observer, initial_state, law_named
 from impact_observer.observer.laws import BUILT_IN
+from impact_observer.observer.misfit import MISFIT
 from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
 from impact_observer.stamps import NS_PER_S, grid

@@ -14,11 +14,8 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in
 from impact_observer.io.recordings import model_of as model_in
 from impact_observer.io.state_arrays import ObserverStates, joined
-from impact_observer.model import read_model
-from impact_observer.model.measurement import Measurement
 from impact_observer.plant import random_plant
 from impact_observer.robots.robot import Robot
-from impact_observer.robots.robot_readings import RobotReading
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
@@ -125,31 +122,3 @@ def test_other_laws_refuse_a_robot_in_one_line(
     assert main(words.split()) == 2
     said = capsys.readouterr().err.strip()
     assert f"law {law}: takes no robot, as hammer_arm is; expected --law minimum-variance" in said
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"position": (("shoulder", 1.0), ("elbow", -2.0))},
-        {"velocity": (("elbow", 1.0),)},
-        {"gap": "wall"},
-        {"acceleration": (("shoulder", 1.0),)},
-    ],
-)
-@pytest.mark.parametrize("closed", [(), (0,)])
-def test_gradients_of_measurements_are_those_of_differences(
-    given: dict[str, object], closed: tuple[int, ...]
-) -> None:
-    """Positions, velocities, gaps and accelerations, with and without a closed contact."""
-    model = read_model("hammer_arm")
-    assert model.robot is not None
-    robot = Robot(model.robot)
-    measurement = Measurement("s", "/s", field="data", deviation=0.1, **given)  # type: ignore[arg-type]
-    reading = RobotReading(measurement, robot)
-    x, tau = np.array([0.3, -0.6, 1.2, -0.7]), np.array([0.4, 0.1])
-    steps = 1e-6 * np.eye(4)
-    found = [
-        (reading.value(x + s, tau, closed) - reading.value(x - s, tau, closed)) / 2e-6
-        for s in steps
-    ]
-    assert np.allclose(reading.gradient(x, tau, closed), found, atol=1e-6)

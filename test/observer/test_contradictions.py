@@ -9,7 +9,6 @@ from systems import run, sample
 
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
-from impact_observer.kernel._kernel import TINY
 from impact_observer.observer import make_observer, replay
 from impact_observer.options import Options
 from impact_observer.resources import shared
@@ -55,7 +54,7 @@ class Judged:
         errors = [np.abs(np.concatenate([e.q, e.u]) - states[e.stamp]) for e in estimates]
         pairs = zip(errors, deviations, strict=True)
         self.distances = np.array([each.max() for each in errors])
-        self.errors = np.array([np.max(e / np.maximum(d, TINY)) for e, d in pairs])
+        self.errors = np.array([np.max(e / np.maximum(d, 1e-150)) for e, d in pairs])
         self.synchronized = np.array([each.synchronized for each in estimates])
         self.misfit = [each.misfit for each in estimates]
 

@@ -28,12 +28,12 @@ from systems import (
 
 from impact_observer.cli.main import main
 from impact_observer.errors import ImpactLawError, UsageError
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
 from impact_observer.model import System
 from impact_observer.observer import ReplicaLaw, law_named, law_names
 from impact_observer.observer import laws as laws_module
 from impact_observer.observer.belief import Belief
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws import BUILT_IN, FOR_ROBOTS
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic

@@ -22,11 +22,11 @@ from systems import (
 )
 
 from impact_observer.events import ImpactEvent, MeasurementVerdict
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, law_named
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
 

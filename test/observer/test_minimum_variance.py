@@ -23,10 +23,10 @@ from systems import (
 
 from impact_observer.dynamics import ImpactLaw, Phases, lyapunov
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
-from impact_observer.filter.contact_change import ContactChange
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 from impact_observer.observer import Belief, Observer, law_named
+from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import Plant, Run, Switching, simulate
 from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between

@@ -12,13 +12,9 @@ pytest.importorskip("pinocchio", reason="not installed: extra robots")
 from robot_runs import EPOCH, Truth, observer_of
 
 from impact_observer.cli.main import main
-from impact_observer.filter.readings import Place, RobotSensor
-from impact_observer.filter.robot_members import RobotMembers
 from impact_observer.model import Model, parse_model, read_model
-from impact_observer.model.measurements_file import parse_measurements
 from impact_observer.plant.random_parameters import random_plant
 from impact_observer.robots import Robot
-from impact_observer.robots.robot_family import RobotFamily
 
 DEVIATIONS = {
     "damping.shoulder": 0.1,
@@ -104,22 +100,3 @@ def test_considered_parameters_are_named_with_their_units(
         "restitution.wall 0.400 +- 0.05",
     ):
         assert each in said
-
-
-def test_sample_of_an_acceleration_depends_on_damping_and_rotor() -> None:
-    """By differences of robots with other parameters."""
-    text = "{name: a, topic: /a, field: data, acceleration: {elbow: 1}, deviation: 0.1}"
-    (measurement,) = parse_measurements(f"measurements: [{text}]", "sensors")
-    robot, names = Robot("hammer_arm"), ("damping.elbow", "rotor-inertia.shoulder")
-    family = RobotFamily.named(robot, names)
-    x, step = np.array([0.3, -0.8, 2.0, -4.0]), 1e-5
-    place = Place(0.0, 0, x, ())
-    sensor = RobotSensor(measurement, robot)
-    found = sensor.row_of(RobotMembers(family, (True, True)), family.nominal, place).of_theta
-    for k, name in enumerate(names):
-        value = robot.description.parameters[name]
-        ends = [
-            robot.with_parameters({name: value + sign * step}).rates(x, robot.torques(0.0))[3]
-            for sign in (1, -1)
-        ]
-        assert found[k] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-6)

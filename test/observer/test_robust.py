@@ -26,13 +26,11 @@ from systems import (
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
-from impact_observer.filter import between_events
-from impact_observer.filter.tuning import TUNING
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.synchronization import AGREED
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.options import Options
 from impact_observer.plant import (
     Plant,
@@ -372,14 +370,11 @@ def test_wrong_start_with_tiny_deviation_is_corrected(seed: int) -> None:
     ("seed", "pause"),
     [(0, 1), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1, 1), (0, 60)))],
 )
-def test_estimate_converges_again_after_the_plant_was_disturbed(
-    monkeypatch: pytest.MonkeyPatch, seed: int, pause: int
-) -> None:
+def test_estimate_converges_again_after_the_plant_was_disturbed(seed: int, pause: int) -> None:
     """The state of the plant jumps after the estimate has converged; the pause may be long.
 
     In a long one so many impacts may have been missed that not all hypotheses can be followed.
     """
-    monkeypatch.setattr(between_events, "TUNING", replace(TUNING, most_flights=32))
     model, start, whole = truth("two_mass", 30.0)
     state = np.random.default_rng(seed).normal(size=(2, 2)) * [[0.3], [2.0]]
     kicked = run(model, *state, seconds=16.0, rate=20.0)

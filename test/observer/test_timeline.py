@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from impact_observer.events import Kind
-from impact_observer.filter.ensemble import Ensemble
 from impact_observer.observer import Belief
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.event_order import EventKey, OverruledSwitch, Superseding
 from impact_observer.observer.synchronization import Synchronization
 from impact_observer.observer.timeline import Entry, Timeline, initial_entry

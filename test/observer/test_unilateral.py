@@ -25,10 +25,10 @@ from systems import (
 from impact_observer.dynamics import Phases, lyapunov
 from impact_observer.dynamics.contact.unilateral_projection import UnilateralProjection
 from impact_observer.errors import ImpactLawError
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.stamps import NS_PER_S, grid

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from systems import EPOCH, observer, run, sample
 
 from impact_observer.events import ImpactEvent, Remark, Ruling, Switch, Verdict
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer import Observer
 from impact_observer.observer.event_outcomes import outcomes_of
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
 

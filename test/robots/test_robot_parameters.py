@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from arms import random_arm
 
-from impact_observer.filter.robot_motion import RobotMotion
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_parameters import (
     jump_by_parameters,
@@ -52,30 +51,6 @@ def test_derivatives_by_parameters_are_those_of_differences(
         found = jump_by_parameters(robot, x, contacts, names)
         expected = slopes(lambda other: other.jumped(x, contacts))
         assert np.allclose(found, expected, rtol=1e-6, atol=1e-7 * np.max(np.abs(expected)))
-
-
-@pytest.mark.parametrize("closed", [(), (0,)])
-@pytest.mark.parametrize("seconds", [0.03, -0.01])
-def test_motion_follows_other_parameters_as_its_derivatives_say(
-    closed: tuple[int, ...], seconds: float
-) -> None:
-    """Differences of motions with other damping and rotors; restitutions change none."""
-    robot = Robot(random_arm(1, 3, contacts=2))
-    names = [*robot.description.parameters]
-    x = np.random.default_rng(1).normal(size=6)
-    x[:3] = robot.projected(x[:3], closed)
-    x[3:] = robot.stopped(x[:3], x[3:], closed)
-    found = RobotMotion(robot).by_parameters(0.0, x, seconds, closed, names)
-    for k, name in enumerate(names):
-        value = robot.description.parameters[name]
-        ends = [
-            RobotMotion(robot.with_parameters({name: value + sign * 1e-5})).moved(
-                0.0, x, seconds, closed
-            )[0]
-            for sign in (1, -1)
-        ]
-        slope = (ends[0] - ends[1]) / 2e-5
-        assert np.allclose(found[:, k], slope, atol=1e-3 * np.max(np.abs(found))), name
 
 
 def test_a_robot_with_other_parameters_is_that_of_its_model_file() -> None:

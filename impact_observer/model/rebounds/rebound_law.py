@@ -47,7 +47,7 @@ class ReboundLaw(ABC):
 
     Attributes:
         units: kinds of the parameters that may be estimated, with SI units; empty for a ratio.
-        is_plain: whether ``r = eps gamma`` with a constant ``eps``, which the kernel knows.
+        is_plain: whether ``r = eps gamma`` with a constant ``eps``.
         is_affine: whether the slope of ``r`` is constant.
     """
 

@@ -7,14 +7,13 @@ from typing import ClassVar
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import ImpactLaw, Motion, Phase
+from impact_observer.dynamics import Motion, Phase
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.events import Contacts
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.replica_law import ReplicaLaw
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector
 
 _FADED = 1e-100
@@ -34,15 +33,9 @@ class Geometric(ReplicaLaw):
 
     name: ClassVar[str] = "geometric"
 
-    def __init__(
-        self,
-        system: System,
-        uncertainty: Uncertainty | None = None,
-        moving: MovingSystem | None = None,
-    ) -> None:
-        """Prepare Newton's law and the projection."""
-        super().__init__(system, uncertainty, moving)
-        self._newton = ImpactLaw(system)
+    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
+        """Prepare the projection."""
+        super().__init__(system, uncertainty)
         self._projection = self._clutches.phases.projection
         self._single = lru_cache(KEPT)(self._single_of)
 
@@ -54,7 +47,7 @@ class Geometric(ReplicaLaw):
         position = self._projection.position_after(x[..., :n], active)
         if closed and closed != active:  # if not all gaps can be zero, those of ``closed`` are
             position = self._projection.position_after(position, closed)
-        velocity = self._newton.velocity_held(x[..., n:], active, closed)
+        velocity = self.newton.velocity_held(x[..., n:], active, closed)
         return np.concatenate([position, velocity], axis=-1)
 
     def impact_ensemble(
@@ -84,7 +77,7 @@ class Geometric(ReplicaLaw):
     def _jump(self, contact: int) -> tuple[Vector, Vector, Vector]:
         """Direction, position jump by a unit gap and kick of a contact, shape (n,) each."""
         z = self._projection.jump((contact,))[:, 0]
-        return self.system.W[:, contact], z, self._newton.kick(contact)
+        return self.system.W[:, contact], z, self.newton.kick(contact)
 
     def _after_one(self, contact: int, x: Vector) -> Vector:
         """Replicas, shape (..., 2n), after the impact of one contact."""
@@ -117,7 +110,7 @@ class Geometric(ReplicaLaw):
 
     def energy_of_jump(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """The energy of any position jump, J; None where an impact may raise V."""
-        if active and not self._newton.is_nonexpansive(active):
+        if active and not self.newton.is_nonexpansive(active):
             return None
         jump = (after - before)[: self.system.n]
         return float(jump.dot(self.system.K.dot(jump))) / 2

@@ -5,10 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from impact_observer.dynamics import ImpactLaw, Phase
+from impact_observer.dynamics import Phase
 from impact_observer.events import Contacts
-from impact_observer.filter.uncertainty import Uncertainty
-from impact_observer.model import System
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Vector
 
@@ -23,15 +21,10 @@ class Kinematic(ReplicaLaw):
 
     name: ClassVar[str] = "kinematic"
 
-    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
-        """Prepare Newton's law."""
-        super().__init__(system, uncertainty)
-        self._newton = ImpactLaw(system)
-
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``u+`` by Newton's law, ``q+ = q-``."""
         n = self.system.n
-        after = self._newton.velocity_held(x[..., n:], active, closed)
+        after = self.newton.velocity_held(x[..., n:], active, closed)
         return np.concatenate([x[..., :n], after], axis=-1)
 
     def phase(self, closed: Contacts) -> Phase | None:

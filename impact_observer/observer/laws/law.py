@@ -2,25 +2,20 @@
 """The interface of a law."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar
 
-import numpy as np
-
-from impact_observer.dynamics import Mechanism, mechanism_of
+from impact_observer.dynamics import ImpactLaw
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.readings import Reading, SampleOutcome
-from impact_observer.filter.robot_motion import motion_of
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.readings import Reading, SampleOutcome
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.robots.robot import Robot
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix
 
 
 class Law(ABC):
@@ -37,7 +32,6 @@ class Law(ABC):
         takes: the kinds of systems whose states the law can estimate.
         system: the model of plant and replicas.
         uncertainty: the uncertainty that the user declares.
-        moving: the motion of the system between impacts.
     """
 
     name: ClassVar[str]
@@ -47,18 +41,12 @@ class Law(ABC):
     uses_measurements: ClassVar[bool] = False
     takes: ClassVar[tuple[type[System | Robot], ...]] = (System,)
 
-    def __init__(
-        self,
-        system: System,
-        uncertainty: Uncertainty | None = None,
-        moving: MovingSystem | None = None,
-    ) -> None:
+    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the law for one ``system``.
 
         Args:
             system: the model of plant and replicas.
             uncertainty: the declared uncertainty.
-            moving: the motion of the same system, if another law has prepared it already.
 
         Raises:
             UsageError: the law does not take the system, or the declared uncertainty does not fit.
@@ -67,7 +55,6 @@ class Law(ABC):
         self.system = system
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self.uncertainty.root(system.n)
-        self.moving = motion_of(system) if moving is None else moving
 
     @classmethod
     def check_kind(cls, kind: type[System | Robot], name: str) -> None:
@@ -85,19 +72,9 @@ class Law(ABC):
         )
 
     @cached_property
-    def mechanism(self) -> Mechanism:
-        """Flights and jumps of the system."""
-        return mechanism_of(self.system)
-
-    @classmethod
-    def for_kind(cls, kind: type[System | Robot]) -> "type[Law]":
-        """The law of this name for systems of a ``kind``."""
-        del kind
-        return cls
-
-    def near(self, x: Vector) -> System:
-        """The system at a state ``x``, shape (2n,): a linear one is the same at all states."""
-        return self.mechanism.near(x, np.zeros(0))
+    def newton(self) -> ImpactLaw:
+        """Newton's impact law with the masses of a linear system."""
+        return ImpactLaw(self.system)
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
@@ -135,7 +112,7 @@ class Law(ABC):
         """
         del before, after
         u, active = prediction.state(change.flown)[self.system.n :], change.active
-        impulses = self.moving.newton.impulses(u, active)
+        impulses = self.newton.impulses(u, active)
         pressed = tuple(i for i, each in zip(active, impulses, strict=True) if each > 0)
         gamma = self.system.contact_speed(u)[list(active)]
         values = impact_balance(self.system, active, pressed, gamma)
@@ -150,17 +127,6 @@ class Law(ABC):
         del reading
         reason = f"{self.name} uses no measurements"
         return prior, SampleOutcome(0.0, -1.0, False, reason)
-
-    def followed(
-        self, readings: Sequence[Reading], posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, list[SampleOutcome]] | None:
-        """Predict by ``s`` seconds and use samples of one instant, if there is a short way.
-
-        The ``posterior`` holds at ``since``, s since the epoch. None asks the caller to predict
-        first and to ``measure`` then, one sample after the other.
-        """
-        del readings, posterior, since, s
-        return None
 
     def doubt(self, belief: Belief, root: Matrix) -> str | None:
         """Why an estimate is not synchronized; empty if it is.

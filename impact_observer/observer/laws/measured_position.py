@@ -13,19 +13,21 @@ where ``i / h`` is the error of the speed in the mean over ``h``, so that the er
 """
 
 import math
+from functools import cached_property
 from typing import ClassVar, cast
 
 import numpy as np
 
+from impact_observer.dynamics import Grip, Mechanism, mechanism_of
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.events import Contacts
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.readings import Place, Reading, SampleOutcome
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.replica_law import OwnMotions
+from impact_observer.observer.readings import Reading, SampleOutcome
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.tangent_robot import tangent
 from impact_observer.robots.velocity_observer import MARGIN, certified_gain
@@ -48,6 +50,10 @@ class MeasuredPosition(Law):
     def _robot(self) -> Robot:
         return cast(Robot, self.system)
 
+    @cached_property
+    def _mechanism(self) -> Mechanism:
+        return mechanism_of(self._robot)
+
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """Replicas whose ``closed`` contacts have no speed."""
         del root
@@ -64,17 +70,16 @@ class MeasuredPosition(Law):
 
     def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
         """Every replica after the sample of an encoder of one joint; no others are used."""
-        encoded = reading.sensor.measurement.encoded
-        if encoded is None:
+        declared, period = reading.sensor.measurement, reading.sensor.period
+        if declared.encoded is None:
             reason = f"{self.name} uses positions of single joints alone"
             return prior, SampleOutcome(0.0, -1.0, False, reason)
         assert prior.unmeasured is not None, "a belief of this law"
-        j, scale = self._robot.coordinates.index(encoded[0]), encoded[1]
-        place = Place(reading.t, reading.instant, prior.x, reading.closed)
-        row, period = reading.sensor.row(self.moving, place), reading.sensor.period
+        joint, scale = declared.encoded
+        j = self._robot.coordinates.index(joint)
         innovations, after = list[float](), list[Vector]()
         for x in prior.replicas:
-            innovation = reading.value - row.value(x)
+            innovation = reading.value - (scale * float(x[j]) + declared.offset)
             if period:
                 innovation = math.remainder(innovation, period)
             innovations.append(innovation)
@@ -97,8 +102,10 @@ class MeasuredPosition(Law):
         return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
     def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
-        """Each replica by its own motion."""
-        motions = [self.moving.motion(t, x, closed) for x in posterior.replicas]
+        """Each replica by its own motion, on the planes of ``closed`` contacts."""
+        mechanism, grip = self._mechanism, Grip(closed, closed)
+        starts = [mechanism.stopped(x, closed) if closed else x for x in posterior.replicas]
+        motions = [mechanism.motion(t, x, grip) for x in starts]
         return _Unmeasured(motions, posterior)
 
     def _jumped(self, change: ContactChange, x: Vector) -> Vector:

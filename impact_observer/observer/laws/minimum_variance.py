@@ -19,14 +19,14 @@ from impact_observer.bank.sample_correction import Function, LinearSample
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Ruling
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.misfit import CONTRADICTION, MISFIT, SILENCE
-from impact_observer.filter.readings import Reading, SampleOutcome
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Learned, Onset, Parameters, Prediction
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.misfit import CONTRADICTION, MISFIT, SILENCE
+from impact_observer.observer.readings import Reading, SampleOutcome
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_family import family_of
 from impact_observer.square_roots import lengths_of

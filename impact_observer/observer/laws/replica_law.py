@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from impact_observer.dynamics import Motion, Phase
+from impact_observer.dynamics import Clutches, Motion, Phase
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector
 
 _BEYOND = 1e-6
@@ -50,15 +49,10 @@ class ReplicaLaw(Law):
                     f" override it too, or write {other} = ReplicaLaw.{other}"
                 )
 
-    def __init__(
-        self,
-        system: System,
-        uncertainty: Uncertainty | None = None,
-        moving: MovingSystem | None = None,
-    ) -> None:
+    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare sprag clutches and all linear phases."""
-        super().__init__(system, uncertainty, moving)
-        self._clutches = self.moving.clutches
+        super().__init__(system, uncertainty)
+        self._clutches = Clutches(system)
 
     @cached_property
     def _free(self) -> Phase:

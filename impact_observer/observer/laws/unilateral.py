@@ -9,13 +9,13 @@ from impact_observer.dynamics import Motion
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.dynamics.contact.sweeping import SweepingProcess
 from impact_observer.events import Contacts
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.replica_law import ReplicaLaw
+from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Vector
 
 
@@ -49,7 +49,7 @@ class Unilateral(Geometric):
         x = self._projected(x, active)
         if closed != active:  # if not all gaps can be zero, those of ``closed`` are
             x = self._projected(x, closed)
-        velocity = self._newton.velocity_held(x[..., n:], active, closed)
+        velocity = self.newton.velocity_held(x[..., n:], active, closed)
         return np.concatenate([x[..., :n], velocity], axis=-1)
 
     impact_ensemble = ReplicaLaw.impact_ensemble

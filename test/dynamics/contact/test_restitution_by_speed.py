@@ -8,10 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from saltation_oracle import saltation_error
 from systems import (
     EPOCH,
-    chain,
     delassus,
     estimates,
     examples,
@@ -29,8 +27,6 @@ from impact_observer.batch.model_edit import changes
 from impact_observer.check.model_check import check_model
 from impact_observer.dynamics import ImpactLaw, lyapunov
 from impact_observer.events import Kind
-from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.ensemble import Ensemble
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.rebounds import ReboundLaw
@@ -38,6 +34,8 @@ from impact_observer.model.rebounds.power_law import PowerLaw
 from impact_observer.model.yaml_text import edited, load_yaml
 from impact_observer.observer import ReplicaLaw
 from impact_observer.observer.belief import Belief
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.unilateral import Unilateral
@@ -153,13 +151,6 @@ def test_rebound_heights_of_a_ball_follow_the_law_until_it_rests() -> None:
     np.testing.assert_allclose(stamps[:13], expected, atol=2e-9)
     assert made.events[-1].switches[0].kind is Kind.CLOSE
     np.testing.assert_allclose(made.states[-1], 0, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_saltation_has_the_derivative_of_the_rebound(seed: int) -> None:
-    """The oracle is the map of an impact at the own root, with its finite differences."""
-    model = with_curve(chain(2, damping=0.3, contacts=[([0, -1], 0.3, 0.7)]), POWER)
-    assert saltation_error(model, np.random.default_rng(seed)) < 1e-7
 
 
 def test_minimum_variance_finds_the_state_to_rounding() -> None:
