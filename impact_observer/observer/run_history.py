@@ -468,9 +468,9 @@ class RunHistory:
             outcome = SampleOutcome(0.0, -1.0, False, reason)
             return replace(previous, key=event, overruled=(), outcome=outcome)
         s = seconds_between(previous.since, event.stamp)
-        prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
-        posterior, outcome = self.law.measure(reading, prior)
-        if posterior is prior:
+        prediction = self.prediction(previous)
+        posterior, outcome = self.law.measure(reading, previous.belief, prediction, s)
+        if posterior is None:
             now = _rejected_after(previous, event, outcome)
             return replace(previous, key=event, overruled=(), outcome=outcome, rejected=now)
         if not isfinite(posterior.x.dot(posterior.x)):

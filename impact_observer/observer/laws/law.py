@@ -118,15 +118,23 @@ class Law(ABC):
         values = impact_balance(self.system, active, pressed, gamma)
         return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
-    def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
-        """Correct a prior by a sample of a sensor; by default samples are not used.
+    def measure(
+        self, reading: Reading, before: Belief, prediction: Prediction, s: float
+    ) -> tuple[Belief | None, SampleOutcome]:
+        """Correct a belief by a sample of a sensor; by default samples are not used.
+
+        Args:
+            reading: the sample.
+            before: the belief ``s`` seconds before it.
+            prediction: that from there on.
+            s: not negative.
 
         Returns:
-            The posterior, and the outcome of the sample.
+            The posterior, None if the sample is not used; and the outcome of the sample.
         """
-        del reading
+        del reading, before, prediction, s
         reason = f"{self.name} uses no measurements"
-        return prior, SampleOutcome(0.0, -1.0, False, reason)
+        return None, SampleOutcome(0.0, -1.0, False, reason)
 
     def doubt(self, belief: Belief, root: Matrix) -> str | None:
         """Why an estimate is not synchronized; empty if it is.

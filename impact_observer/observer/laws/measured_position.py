@@ -68,12 +68,15 @@ class MeasuredPosition(Law):
         after = [self._jumped(change, x) for x in prior.replicas]
         return prior._replace(ensemble=Ensemble.of(np.array(after)))
 
-    def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
+    def measure(
+        self, reading: Reading, before: Belief, prediction: Prediction, s: float
+    ) -> tuple[Belief | None, SampleOutcome]:
         """Every replica after the sample of an encoder of one joint; no others are used."""
         declared, period = reading.sensor.measurement, reading.sensor.period
         if declared.encoded is None:
             reason = f"{self.name} uses positions of single joints alone"
-            return prior, SampleOutcome(0.0, -1.0, False, reason)
+            return None, SampleOutcome(0.0, -1.0, False, reason)
+        prior = prediction.belief(s) if s > 0 else before
         assert prior.unmeasured is not None, "a belief of this law"
         joint, scale = declared.encoded
         j = self._robot.coordinates.index(joint)

@@ -5,7 +5,7 @@
 
 import math
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import linalg
@@ -112,32 +112,39 @@ class MinimumVariance(Law):
         if s + bank.late:
             x, root = Course(self.filter, bank).estimate(s + bank.late)
         else:
-            x, root = mixture(bank.rows, self.filter.ladders, self.filter.numbers.unpublished)
+            x, root = self._gaussian(bank)
         return self.made(bank, x, root, s)
 
     def made(self, bank: Bank, x: Vector, root: Matrix, s: float) -> Belief:
         """The belief of an estimate ``s`` seconds after the stamp of a bank, shape (N,)."""
-        size, rows = 2 * self.system.n, bank.rows
-        best, misfit = rows.best, ""
-        if bank.contradicted:
-            misfit = CONTRADICTION.format(bank.farthest)
-        elif bank.doubted >= _DOUBTED:
-            level = float(rows.weights @ self.filter.ladders.kicks[rows.r])
-            what = "flights miss by {:.2g} of the accelerations"
-            if not self.filter.ladders.is_learned:
-                what = "impulses miss by {:.2g} of their size"
-            misfit = f"{MISFIT}: {what.format(level)}"
+        size = 2 * self.system.n
         return Belief(
             Ensemble(x[:size], root[:size]),
             _anywhere(root[:size], bank) if bank.contradicted else root[:size],
-            bank=bank,
             flown=s,
             clock_offset=float(x[-1]) if self._has_delay else 0.0,
             learned=Learned(lambda: self._learned(bank, x, root)),
-            noted=rows.notes[best],
-            clock_deviation=float(self.filter.ladders.clocks[rows.c[best]]),
-            misfit=misfit,
+            **self._told(bank),
         )
+
+    def _told(self, bank: Bank) -> dict[str, Any]:
+        """What a belief tells of its ``bank`` whenever the belief holds."""
+        rows, ladders, misfit = bank.rows, self.filter.ladders, ""
+        if bank.contradicted:
+            misfit = CONTRADICTION.format(bank.farthest)
+        elif bank.doubted >= _DOUBTED:
+            level = float(rows.weights @ ladders.kicks[rows.r])
+            what = "flights miss by {:.2g} of the accelerations"
+            if not ladders.is_learned:
+                what = "impulses miss by {:.2g} of their size"
+            misfit = f"{MISFIT}: {what.format(level)}"
+        clock = float(ladders.clocks[rows.c[rows.best]])
+        noted = rows.notes[rows.best]
+        return {"bank": bank, "noted": noted, "clock_deviation": clock, "misfit": misfit}
+
+    def _gaussian(self, bank: Bank) -> tuple[Vector, Matrix]:
+        """The estimate of a ``bank`` and a root of its covariance, shapes (N,) and (N, N)."""
+        return mixture(bank.rows, self.filter.ladders, self.filter.numbers.unpublished)
 
     def _learned(self, bank: Bank, x: Vector, root: Matrix) -> Parameters:
         """The estimated constants, and the levels of errors."""
@@ -189,10 +196,13 @@ class MinimumVariance(Law):
             innovations={n.contact: n.innovation for n in used if n.innovation >= 0},
         )
 
-    def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
-        """Every hypothesis is corrected and weighed."""
-        bank, sensor = prior.bank, reading.sensor
-        assert bank is not None, "a belief of this law"
+    def measure(
+        self, reading: Reading, before: Belief, prediction: Prediction, s: float
+    ) -> tuple[Belief, SampleOutcome]:
+        """Every hypothesis is corrected and weighed; the covariance is found when asked for."""
+        del before, s
+        assert isinstance(prediction, BankPrediction), "a prediction of this law"
+        bank, sensor, size = prediction.bank, reading.sensor, 2 * self.system.n
         t = elapsed(reading.t)
         bank = self.filter.predicted(bank, t - bank.t)._replace(t=t, late=0.0)
         function = Function(*sensor.function)
@@ -205,7 +215,14 @@ class MinimumVariance(Law):
         bank, found = self.filter.measured(bank, sample, lost=lost)
         innovation, z = float(found.innovation[0]), float(found.z[0])
         reason = f"gate: {z:.3g} standard deviations; {gate:g} are allowed" if z > gate else ""
-        return self.belief(bank, 0.0), SampleOutcome(innovation, z, not reason, reason)
+        x = bank.rows.x[bank.rows.best]
+        belief = Belief(
+            Ensemble(x[:size], np.zeros((size, 0))),
+            clock_offset=float(x[-1]) if self._has_delay else 0.0,
+            learned=Learned(lambda: self._learned(bank, *self._gaussian(bank))),
+            **self._told(bank),
+        )
+        return belief, SampleOutcome(innovation, z, not reason, reason)
 
     def impact_balance(
         self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
@@ -243,37 +260,41 @@ class MinimumVariance(Law):
 
 
 class BankPrediction(Prediction):
-    """A bank as a function of time until the next event."""
+    """A bank as a function of time until the next event.
+
+    Attributes:
+        bank: the hypotheses at the start.
+    """
 
     def __init__(self, law: MinimumVariance, bank: Bank) -> None:
-        self._law, self._bank, self._size = law, bank, 2 * law.system.n
+        self._law, self.bank, self._size = law, bank, 2 * law.system.n
         missed = float(np.max(law.uncertainty.missed))
         self._silent = max(math.ceil(_LOG_SILENT / math.log(missed)), 2) if 0 < missed < 1 else 2
 
     @cached_property
     def _course(self) -> Course:
-        return Course(self._law.filter, self._bank)
+        return Course(self._law.filter, self.bank)
 
     def state(self, s: float) -> Vector:
-        return self._course.estimate(s + self._bank.late)[0][: self._size]
+        return self._course.estimate(s + self.bank.late)[0][: self._size]
 
     def states(self, s: Vector) -> Matrix:
-        return self._course.states(s + self._bank.late)[:, : self._size]
+        return self._course.states(s + self.bank.late)[:, : self._size]
 
     def root(self, s: float) -> Matrix:
-        root = self._course.estimate(s + self._bank.late)[1][: self._size]
-        lost = self._bank.contradicted or self.silence(s)
-        return _anywhere(root, self._bank) if lost else root
+        root = self._course.estimate(s + self.bank.late)[1][: self._size]
+        lost = self.bank.contradicted or self.silence(s)
+        return _anywhere(root, self.bank) if lost else root
 
     def closed(self, s: float) -> Contacts:
-        return self._course.closed(s + self._bank.late)
+        return self._course.closed(s + self.bank.late)
 
     def belief(self, s: float) -> Belief:
-        x, root = self._law.filter.flown_on(self._bank, s + self._bank.late)
-        return self._law.made(self._bank, x, root, s)
+        x, root = self._law.filter.flown_on(self.bank, s + self.bank.late)
+        return self._law.made(self.bank, x, root, s)
 
     def silence(self, s: float) -> str:
-        missed, is_inside = self._course.silent(s + self._bank.late)
+        missed, is_inside = self._course.silent(s + self.bank.late)
         if missed >= self._silent:
             return f"{missed} predicted impacts in a row were {SILENCE}"
         return f"a predicted impact was {SILENCE}" if is_inside else ""
