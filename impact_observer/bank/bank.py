@@ -18,6 +18,9 @@ TRUE, SPURIOUS, MISSED, OTHER, RESTART = range(1, 6)
 """Decisions on an event or a predicted impact; a decision is ``8 contact + one of these``."""
 
 
+_ONLY = np.zeros(1, dtype=np.intp)
+
+
 class Missed(NamedTuple):
     """An impact that was predicted and not reported.
 
@@ -85,6 +88,9 @@ class Hypotheses(NamedTuple):
 
     def by_held(self) -> Iterator[tuple[NDArray[np.intp], Contacts]]:
         """Indices of the hypotheses with the same closed contacts, and these contacts."""
+        if self.size == 1:
+            yield _ONLY, contacts_of(int(self.held[0]))
+            return
         for number in sorted({*self.held.tolist()}):
             yield np.flatnonzero(self.held == number), contacts_of(number)
 

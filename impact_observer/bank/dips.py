@@ -4,6 +4,7 @@
 Between two points of the grid a function is the cubic through values and slopes of both.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -38,20 +39,25 @@ class Dips(NamedTuple):
 
 
 def dips_of(
-    values: GuardValues, start: Vector, rounding: Vector, ignored: NDArray[np.intp]
+    values: GuardValues,
+    start: Vector,
+    rounding: Callable[[], Vector],
+    ignored: NDArray[np.intp],
 ) -> Dips | None:
     """The dips that are deeper than ``rounding``, shape (m,); None without one.
 
     Args:
         values: of the functions.
         start: of each hypothesis, s, shape (H,).
-        rounding: depths that count as none, shape (m,).
+        rounding: gives depths that count as none, shape (m,).
         ignored: contacts whose gaps are not looked at.
     """
     g, v, ends = values
     low, at = _lowest(g, v, np.diff(ends, axis=0)[:, None])
     low[:, ignored] = 0.0
-    negative = low < -rounding[:, None]
+    if not (low < 0).any():
+        return None
+    negative = low < -rounding()[:, None]
     if not negative.any():
         return None
     at = at + ends[:-1, None]

@@ -360,7 +360,7 @@ class ImpactBank:
     def _recentred(self, bank: Bank) -> Bank:
         """The bank with parameters and delay within their bounds, and flights near the best."""
         size, rows = self.nominal.size, bank.rows
-        if not size:
+        if size == self._considered.size:
             return bank
         x = rows.x.copy()
         x[:, self.d :] = np.clip(x[:, self.d :], *self._bounds)

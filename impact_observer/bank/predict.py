@@ -341,13 +341,17 @@ class Flights:
         g = values.g
         if self.p:
             g = g + self.mechanism.gap_slopes @ self.beside(rows.x).T
-        first = self.mechanism.gaps(x)
-        size = np.abs(first.g).max(axis=0)
-        size += np.einsum("hmi,hi->hm", np.abs(first.W), np.abs(x[:, :n])).max(axis=0)
+
+        def rounding() -> Vector:
+            first = self.mechanism.gaps(x)
+            size = np.abs(first.g).max(axis=0)
+            size += np.einsum("hmi,hi->hm", np.abs(first.W), np.abs(x[:, :n])).max(axis=0)
+            return np.asarray(_ROUNDING * size)
+
         just = rows.just[None] >> np.arange(self.m)[:, None] & 1
         g[0] = np.where(just, np.maximum(g[0], 0.0), g[0])
         ignored = np.array(leg.held, dtype=np.intp)
-        return dips_of(values._replace(g=g), start, _ROUNDING * size, ignored)
+        return dips_of(values._replace(g=g), start, rounding, ignored)
 
     def _after_missed(
         self, contact: int, leg: Leg, rows: Hypotheses, start: Vector, began: Array

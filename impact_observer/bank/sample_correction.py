@@ -107,7 +107,7 @@ def sampled(
         value[own], by[own] = sample.function.at(rows.x[own], t, held, flights)
         x = rows.x[own, :d]
         gaps = flights.mechanism.gaps(x)
-        for contact in range(flights.m):
+        for contact in np.flatnonzero((gaps.g < 0).any(axis=0)).tolist():
             if contact in held:
                 continue
             gap, speed = gaps.g[:, contact], gaps.gamma[:, contact]

@@ -217,6 +217,10 @@ class LinearMechanism:
         del x
         return self.tangent.family.near(theta) if theta.size else self.system
 
+    def sizes(self, x: Vector, s: float = 0.0, /) -> Vector:
+        """The largest values that all modes can give."""
+        return self.phases.scales.sizes(x, s)
+
     def kinetic(self, x: Array, /) -> Array:
         """``u' M u / 2``."""
         u = x[..., self.system.n :]

@@ -283,6 +283,9 @@ class Mechanism(Protocol):
     def near(self, x: Vector, theta: Vector, /) -> System:
         """Masses, contacts and rebound laws at ``x``, shape (2n,), with other parameters."""
 
+    def sizes(self, x: Vector, s: float = 0.0, /) -> Vector:
+        """What ``x``, shape (2n,), is rounded against ``s`` seconds after a start, (2n,)."""
+
     def kinetic(self, x: Array, /) -> Array:
         """Kinetic energies of states (..., 2n), shape (...), J."""
 

@@ -8,7 +8,7 @@ from math import isfinite
 
 import numpy as np
 
-from impact_observer.dynamics import Scales, mechanism_of
+from impact_observer.dynamics import mechanism_of
 from impact_observer.errors import (
     DynamicsError,
     ImpactLawError,
@@ -23,7 +23,6 @@ from impact_observer.events import (
     Ruling,
     Verdict,
 )
-from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.encoder_start import EncoderStart
@@ -36,7 +35,6 @@ from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
-from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
@@ -98,7 +96,7 @@ class RunHistory:
         self.numbers = SequenceNumbers()
         self._first_entry, self._history = first_entry, history
         self._system = law.system
-        self._scales = _scales_of(law.system)
+        self._mechanism = mechanism_of(law.system)
         self._names = self._system.contact_names
         self._sides = ImpactSides(law)
         self._issued = IssuedVerdicts(self._names)
@@ -238,9 +236,10 @@ class RunHistory:
     ) -> tuple[list[tuple[EventKey, SampleOutcome]], tuple[Verdict, ...]]:
         """Append samples of a stamp that is later than all entries: the usual case."""
         try:
-            entries = timeline.append_samples(keys)
+            entries = self._measured(timeline.entries[-1], keys)
         except ImpactObserverError as error:
             return [(key, SampleOutcome(0.0, -1.0, False, str(error))) for key in keys], ()
+        timeline.entries += entries
         self._forget(timeline)
         outcomes = [(e.key, e.outcome) for e in entries if e.outcome is not None]
         return outcomes, self._revisions(Insertion(entries[-1]))
@@ -294,10 +293,12 @@ class RunHistory:
         belief, prediction = entry.belief, self.prediction(entry)
         n, s = self._system.n, seconds_between(entry.since, stamp)
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
+        if root is None and law.has_covariance:  # the root after a sample is found on request
+            root = prediction.root(0.0)
         closed, silence = prediction.closed(s), prediction.silence(s)
         covariance = NO_COVARIANCE
         if root is not None:
-            both, sizes = self._both_sides(entry, s, x, root, closed), self._scales.sizes(x, s)
+            both, sizes = self._both_sides(entry, s, x, root, closed), self._mechanism.sizes(x, s)
             covariance = law.uncertainty.published_covariance(both, x, sizes)
         if self._system.frame is not None:
             x = self._from_frame(np.array([stamp]), x[None])[0]
@@ -414,7 +415,7 @@ class RunHistory:
         """
         give_turn()
         if event.sample:
-            return self._measured(previous, event)
+            return self._measured(previous, [event])[0]
         last = event.stamp, event.sequence
         meaning = interpret(event, previous.closed, previous.latest, superseding)
         if not meaning.switches:
@@ -459,35 +460,33 @@ class RunHistory:
             belief = self.prediction(previous).belief(s)
         return self.law.correct(change, belief), belief.x
 
-    def _measured(self, previous: Entry, event: EventKey) -> Entry:
-        """The entry of a sample; a sample that is not used leaves the motion unchanged."""
-        reading = self._reading(previous, event)
-        if reading.is_blanked:
-            ago, blanking = reading.since_impact, reading.sensor.measurement.blanking
-            reason = f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
-            outcome = SampleOutcome(0.0, -1.0, False, reason)
-            return replace(previous, key=event, overruled=(), outcome=outcome)
-        s = seconds_between(previous.since, event.stamp)
-        prediction = self.prediction(previous)
-        posterior, outcome = self.law.measure(reading, previous.belief, prediction, s)
-        if posterior is None:
-            now = _rejected_after(previous, event, outcome)
-            return replace(previous, key=event, overruled=(), outcome=outcome, rejected=now)
-        if not isfinite(posterior.x.dot(posterior.x)):
-            raise DynamicsError(f"at {text(event.stamp)} s: the estimate is not finite any more")
-        return Entry(
-            event,
-            event.stamp,
-            posterior,
-            previous.synchronization,
-            previous.closed,
-            previous.latest,
-            (),
-            previous.last,
-            previous.impact,
-            outcome,
-            _rejected_after(previous, event, outcome),
-        )
+    def _measured(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
+        """The entries of samples of one stamp; all have the posterior after the last of them.
+
+        Samples that are not used leave the motion unchanged.
+
+        Raises:
+            DynamicsError: the estimate is not finite.
+        """
+        stamp, readings = events[0].stamp, [self._reading(previous, each) for each in events]
+        used = [each for each in readings if not each.is_blanked]
+        s = seconds_between(previous.since, stamp)
+        belief, made = None, list[SampleOutcome]()
+        if used:
+            prediction = self.prediction(previous)
+            belief, made = self.law.measure(used, previous.belief, prediction, s)
+        outcomes = dict(zip([each.sensor.index for each in used], made, strict=True))
+        rejected = _rejected_after(previous, outcomes)
+        base = replace(previous, key=events[0], overruled=(), rejected=rejected)
+        if belief is not None:
+            if not isfinite(belief.x.dot(belief.x)):
+                raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
+            base = replace(base, since=stamp, belief=belief, prediction=None)
+        each = zip(events, readings, strict=True)
+        return [
+            replace(base, key=event, outcome=outcomes.get(event.sensor) or _blanked(reading))
+            for event, reading in each
+        ]
 
     def _reading(self, previous: Entry, event: EventKey) -> Reading:
         """A sample, after the ``previous`` entry."""
@@ -525,23 +524,21 @@ def _before(start: int) -> str:
     return f"before {text(start)} s, the start of the history"
 
 
-def _rejected_after(previous: Entry, event: EventKey, outcome: SampleOutcome) -> Mapping[int, int]:
-    """How many samples in a row of each sensor were rejected, after a sample.
+def _blanked(reading: Reading) -> SampleOutcome:
+    ago, blanking = reading.since_impact, reading.sensor.measurement.blanking
+    reason = f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
+    return SampleOutcome(0.0, -1.0, False, reason)
+
+
+def _rejected_after(previous: Entry, outcomes: Mapping[int, SampleOutcome]) -> Mapping[int, int]:
+    """How many samples in a row of each sensor were rejected, after ``outcomes`` by sensor.
 
     A sample without an innovation in deviations says nothing.
     """
     rejected = dict(previous.rejected)
-    if outcome.accepted:
-        rejected.pop(event.sensor, None)
-    elif outcome.normalized >= 0:
-        rejected[event.sensor] = rejected.get(event.sensor, 0) + 1
+    for sensor, each in outcomes.items():
+        if each.accepted:
+            rejected.pop(sensor, None)
+        elif each.normalized >= 0:
+            rejected[sensor] = rejected.get(sensor, 0) + 1
     return rejected
-
-
-def _scales_of(system: System | Robot) -> Scales:
-    """The scales of motions while nothing is held; of a robot every coordinate is a mode."""
-    if not isinstance(system, Robot):
-        return Scales.of_equations(system)
-    unit, seconds = np.eye(system.n), mechanism_of(system).timescale
-    squares = np.full(system.n, seconds**-2)
-    return Scales(squares, unit, unit, unit, 1.0 / seconds, seconds)

@@ -183,16 +183,6 @@ class Timeline:
             raise error
         return made.insertions[0]
 
-    def append_samples(self, keys: Sequence[EventKey]) -> list[Entry]:
-        """Append samples of one stamp that is later than all entries; returns their entries.
-
-        Raises:
-            ImpactObserverError: they cannot be applied; nothing changes.
-        """
-        entries = self._applied(self.entries[-1], keys)
-        self.entries += entries
-        return entries
-
     def inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Insertions]:
         """Put events that the timeline ``accepts`` in place, and apply later events again, once.
 

@@ -106,7 +106,7 @@ class Uncertainty:
     def published_covariance(self, root: Matrix, x: Vector, sizes: Vector) -> Matrix:
         """The covariance ``root root^T`` as published: with rounding and errors of the model.
 
-        ``sizes`` are those of the motion of ``x``, (q, u), shape (2n,), see ``Scales.sizes``.
+        ``sizes`` are those of the motion of ``x``, (q, u), shape (2n,), see ``Mechanism.sizes``.
         """
         covariance = root @ root.T
         covariance.flat[:: len(root) + 1] += self.least_deviations(x, sizes) ** 2

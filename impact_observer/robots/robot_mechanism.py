@@ -269,6 +269,11 @@ class RobotMechanism:
             after.reshape(x.shape), Phi.reshape(*shape, d, d), Gamma.reshape(*shape, d, -1)
         )
 
+    def sizes(self, x: Vector, s: float = 0.0, /) -> Vector:
+        """Each joint by itself, at the fastest rate."""
+        q, u = np.split(np.abs(x), 2)
+        return np.concatenate([q + (1 / self.rate + s / 2) * u, u + s / 2 * self.rate**2 * q])
+
     def kinetic(self, x: Array, /) -> Array:
         """``u' M(q) u / 2``."""
         n = self.system.n

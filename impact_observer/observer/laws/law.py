@@ -2,6 +2,7 @@
 """The interface of a law."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar
 
@@ -119,22 +120,22 @@ class Law(ABC):
         return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
     def measure(
-        self, reading: Reading, before: Belief, prediction: Prediction, s: float
-    ) -> tuple[Belief | None, SampleOutcome]:
-        """Correct a belief by a sample of a sensor; by default samples are not used.
+        self, readings: Sequence[Reading], before: Belief, prediction: Prediction, s: float
+    ) -> tuple[Belief | None, list[SampleOutcome]]:
+        """Correct a belief by samples of one instant; by default samples are not used.
 
         Args:
-            reading: the sample.
-            before: the belief ``s`` seconds before it.
+            readings: the samples, at least one.
+            before: the belief ``s`` seconds before them.
             prediction: that from there on.
             s: not negative.
 
         Returns:
-            The posterior, None if the sample is not used; and the outcome of the sample.
+            The posterior, None if no sample is used; and the outcome of each sample.
         """
-        del reading, before, prediction, s
+        del before, prediction, s
         reason = f"{self.name} uses no measurements"
-        return None, SampleOutcome(0.0, -1.0, False, reason)
+        return None, [SampleOutcome(0.0, -1.0, False, reason) for _ in readings]
 
     def doubt(self, belief: Belief, root: Matrix) -> str | None:
         """Why an estimate is not synchronized; empty if it is.

@@ -13,6 +13,7 @@ where ``i / h`` is the error of the speed in the mean over ``h``, so that the er
 """
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar, cast
 
@@ -69,14 +70,25 @@ class MeasuredPosition(Law):
         return prior._replace(ensemble=Ensemble.of(np.array(after)))
 
     def measure(
-        self, reading: Reading, before: Belief, prediction: Prediction, s: float
-    ) -> tuple[Belief | None, SampleOutcome]:
-        """Every replica after the sample of an encoder of one joint; no others are used."""
+        self, readings: Sequence[Reading], before: Belief, prediction: Prediction, s: float
+    ) -> tuple[Belief | None, list[SampleOutcome]]:
+        """Every replica after the samples of encoders of one joint each; no others are used."""
+        belief, outcomes = None, list[SampleOutcome]()
+        for reading in readings:
+            if reading.sensor.measurement.encoded is None:
+                reason = f"{self.name} uses positions of single joints alone"
+                outcomes.append(SampleOutcome(0.0, -1.0, False, reason))
+                continue
+            if belief is None:
+                belief = prediction.belief(s) if s > 0 else before
+            belief, innovation = self._after(reading, belief)
+            outcomes.append(SampleOutcome(innovation))
+        return belief, outcomes
+
+    def _after(self, reading: Reading, prior: Belief) -> tuple[Belief, float]:
+        """The belief after a sample of an encoder of one joint, and its innovation."""
         declared, period = reading.sensor.measurement, reading.sensor.period
-        if declared.encoded is None:
-            reason = f"{self.name} uses positions of single joints alone"
-            return None, SampleOutcome(0.0, -1.0, False, reason)
-        prior = prediction.belief(s) if s > 0 else before
+        assert declared.encoded is not None, "an encoder"
         assert prior.unmeasured is not None, "a belief of this law"
         joint, scale = declared.encoded
         j = self._robot.coordinates.index(joint)
@@ -91,7 +103,7 @@ class MeasuredPosition(Law):
         unmeasured = prior.unmeasured.copy()
         unmeasured[j] = 0.0
         belief = Belief(Ensemble.of(np.array(after)), unmeasured=unmeasured)
-        return belief, SampleOutcome(innovations[0])
+        return belief, innovations[0]
 
     def impact_balance(
         self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None

@@ -4,6 +4,7 @@
 # ruff: noqa: D102 (overrides have the docstrings of ``Prediction``)
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -197,24 +198,32 @@ class MinimumVariance(Law):
         )
 
     def measure(
-        self, reading: Reading, before: Belief, prediction: Prediction, s: float
-    ) -> tuple[Belief, SampleOutcome]:
+        self, readings: Sequence[Reading], before: Belief, prediction: Prediction, s: float
+    ) -> tuple[Belief | None, list[SampleOutcome]]:
         """Every hypothesis is corrected and weighed; the covariance is found when asked for."""
         del before, s
         assert isinstance(prediction, BankPrediction), "a prediction of this law"
-        bank, sensor, size = prediction.bank, reading.sensor, 2 * self.system.n
-        t = elapsed(reading.t)
+        bank, outcomes, size = prediction.bank, list[SampleOutcome](), 2 * self.system.n
+        t = elapsed(readings[0].t)
         bank = self.filter.predicted(bank, t - bank.t)._replace(t=t, late=0.0)
-        function = Function(*sensor.function)
-        shift = float(sensor.shifts(np.array([reading.instant]))[0])
-        gate = sensor.measurement.gate
-        sample = LinearSample(
-            function, reading.value - shift, sensor.variance, gate, sensor.period
-        )
-        lost = reading.rejected >= _REJECTED
-        bank, found = self.filter.measured(bank, sample, lost=lost)
-        innovation, z = float(found.innovation[0]), float(found.z[0])
-        reason = f"gate: {z:.3g} standard deviations; {gate:g} are allowed" if z > gate else ""
+        for reading in readings:
+            sensor = reading.sensor
+            shift = float(sensor.shifts(np.array([reading.instant]))[0])
+            gate = sensor.measurement.gate
+            sample = LinearSample(
+                Function(*sensor.function),
+                reading.value - shift,
+                sensor.variance,
+                gate,
+                sensor.period,
+            )
+            lost = reading.rejected >= _REJECTED
+            bank, found = self.filter.measured(bank, sample, lost=lost)
+            innovation, z = float(found.innovation[0]), float(found.z[0])
+            reason = ""
+            if z > gate:
+                reason = f"gate: {z:.3g} standard deviations; {gate:g} are allowed"
+            outcomes.append(SampleOutcome(innovation, z, not reason, reason))
         x = bank.rows.x[bank.rows.best]
         belief = Belief(
             Ensemble(x[:size], np.zeros((size, 0))),
@@ -222,7 +231,7 @@ class MinimumVariance(Law):
             learned=Learned(lambda: self._learned(bank, *self._gaussian(bank))),
             **self._told(bank),
         )
-        return belief, SampleOutcome(innovation, z, not reason, reason)
+        return belief, outcomes
 
     def impact_balance(
         self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
@@ -268,8 +277,12 @@ class BankPrediction(Prediction):
 
     def __init__(self, law: MinimumVariance, bank: Bank) -> None:
         self._law, self.bank, self._size = law, bank, 2 * law.system.n
-        missed = float(np.max(law.uncertainty.missed))
-        self._silent = max(math.ceil(_LOG_SILENT / math.log(missed)), 2) if 0 < missed < 1 else 2
+
+    @cached_property
+    def _silent(self) -> int:
+        """Missed impacts in a row from which on the sensor may be dead."""
+        missed = float(np.max(self._law.uncertainty.missed))
+        return max(math.ceil(_LOG_SILENT / math.log(missed)), 2) if 0 < missed < 1 else 2
 
     @cached_property
     def _course(self) -> Course:
