@@ -44,7 +44,7 @@ def dips_of(
     rounding: Callable[[], Vector],
     ignored: NDArray[np.intp],
 ) -> Dips | None:
-    """The dips that are deeper than ``rounding``, shape (m,); None without one.
+    """The dips that are deeper than ``rounding``, in the order of their begins; None without one.
 
     Args:
         values: of the functions.
@@ -62,6 +62,7 @@ def dips_of(
         return None
     at = at + ends[:-1, None]
     found = list[tuple[int, int, tuple[float, float], float, float, bool, bool]]()
+    order = list[float]()
     for i, h in zip(*np.nonzero(negative.any(axis=0)), strict=True):
         steps = np.flatnonzero(negative[:, i, h])
         breaks = np.flatnonzero((np.diff(steps) > 1) | (g[steps[1:], i, h] >= 0)) + 1
@@ -76,7 +77,9 @@ def dips_of(
             is_over = bool(g[last + 1, i, h] >= 0)
             gap = float(low[lowest, i, h])
             found.append((h, i, began, at[lowest, i, h], gap, is_over, was_before))
-    found.sort(key=lambda each: each[3])
+            above, below = max(g[first, i, h], 0.0), g[first + 1, i, h] if is_below else gap
+            order.append(began[0] + (began[1] - began[0]) * above / max(above - below, 1e-300))
+    found = [found[k] for k in np.argsort(order, kind="stable")]  # by when gaps are zero
     h, contact, bounds, when, gaps, over, before = (
         np.array(each) for each in zip(*found, strict=True)
     )

@@ -51,6 +51,8 @@ class Numbers(NamedTuple):
         least_error: the relative error of a model from which on users are warned.
         exact: probability of a smaller one below which they are.
         log_inside: of a dip that lasts, below which the sensor may be dead.
+        patience: how long a dip may last until its report is due, over the inverse of the
+            fastest rate.
         contradiction: the innovation that the declared errors exclude, in standard deviations.
         remembered: events for which a contradiction is told.
         most_silent: missed impacts in a row after which no others are looked for.
@@ -86,6 +88,7 @@ class Numbers(NamedTuple):
     least_error: float = 1e-4
     exact: float = 0.01
     log_inside: float = -18.0
+    patience: float = 0.1
     contradiction: float = 6.0
     remembered: int = 32
     most_silent: int = 32

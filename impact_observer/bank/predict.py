@@ -97,6 +97,7 @@ class Flights:
         log_missed: log probability that an impact is not reported, of each contact, shape (m,).
         own_clocks: deviations of the stamps of contacts, s; NaN where the ladder holds, (m,).
         d: numbers of (q, u).
+        is_noisy: whether any rung has an error of the model.
     """
 
     def __init__(
@@ -112,7 +113,7 @@ class Flights:
         self.constants, (self.log_missed, self.own_clocks) = constants, reports
         system = mechanism.system
         self.m, self.p, self.d = system.m, mechanism.theta.size, 2 * system.n
-        self.rate = mechanism.rate
+        self.rate, self.is_noisy = mechanism.rate, bool(ladders.errors.any())
 
     def without_stamps(self) -> "Flights":
         """The same for an impact that no stamp tells, only the state."""
@@ -223,8 +224,9 @@ class Flights:
     def flown(self, rows: Hypotheses, leg: Leg, start: Vector, s: Vector) -> Hypotheses:
         """Hypotheses after flights of ``s`` seconds from ``start`` on, without impacts, (H,)."""
         d = self.d
-        same = start.min() == start.max() and s.min() == s.max()
-        at, length = (start[:1], s[:1]) if same else (start, s)
+        at, length = start, s
+        if len(s) > 1 and start.min() == start.max() and s.min() == s.max():
+            at, length = start[:1], s[:1]
         times = [leg.t + each for each in at.tolist()]
         images = self.images(times, rows.x, length, leg.held)
         x, S, B = rows.x.copy(), rows.S.copy(), rows.B
@@ -232,7 +234,7 @@ class Flights:
         S[:, :d] = images.Phi @ rows.S[:, :d]
         if self.p:
             S[:, :d] += images.Gamma @ rows.S[:, d:]
-        if self.ladders.errors.any():
+        if self.is_noisy:
             flight = np.maximum(length, 0.0), leg.held, leg.intensity
             noise = self.mechanism.noise(times, rows.x[:, :d], *flight)
             noise = np.broadcast_to(noise, B.shape)
@@ -299,7 +301,8 @@ class Flights:
                 logw[own] -= rows.paid[own, contact] if dips.was_before[k] else 0.0
                 continue
             logw[own] += min(owed, 0.0)
-            sunk[own] = min(sunk[own], cost[k])
+            if dips.is_over[k] or leg.s - dips.began[k, 1] > self.numbers.patience / self.rate:
+                sunk[own] = min(sunk[own], cost[k])
             if not dips.is_over[k]:
                 paid[own, contact] = min(cost[k], 0.0)
         enough = np.where(dips.is_over, self.numbers.shallow, self.numbers.confident)
@@ -388,7 +391,7 @@ class Flights:
         Xi[:, :, d : d + self.p] += jumps.Gamma
         whole[:, :d] = jumps.x + self.change(jumps.Gamma, rows.x)
         S[:, :d] = Xi @ S
-        if self.ladders.errors.any():
+        if self.is_noisy:
             kick = np.zeros((len(x), d, 1))
             kick[:, d // 2 :] = speed[:, None, None] * mechanism.stops(x, (contact,))
             kick *= self.ladders.is_learned

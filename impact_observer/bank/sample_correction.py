@@ -103,35 +103,33 @@ def sampled(
     d, ladders = flights.d, flights.ladders
     value, by = np.empty(rows.size), np.empty(rows.x.shape)
     jump = np.zeros(rows.size)
+    gaps = flights.mechanism.gaps(rows.x[:, :d])
+    is_inside = (gaps.g < 0).any()
     for own, held in rows.by_held():
         value[own], by[own] = sample.function.at(rows.x[own], t, held, flights)
-        x = rows.x[own, :d]
-        gaps = flights.mechanism.gaps(x)
-        for contact in np.flatnonzero((gaps.g < 0).any(axis=0)).tolist():
+        for contact in range(flights.m) if is_inside else ():
             if contact in held:
                 continue
-            gap, speed = gaps.g[:, contact], gaps.gamma[:, contact]
+            gap, speed = gaps.g[own, contact], gaps.gamma[own, contact]
             late = _LATE * flights.clock(contact, rows.c[own]) * np.abs(speed)
-            waits = (gap < 0) & (-gap < late)
-            if waits.any():
-                which = own[waits]
+            which = own[(gap < 0) & (-gap < late)]
+            if which.size:
                 hit = rows.x[which].copy()
-                hit[:, :d] = flights.mechanism.impact(x[waits], (contact,)).x
+                hit[:, :d] = flights.mechanism.impact(hit[:, :d], (contact,)).x
                 jump[which] += sample.function.at(hit, t, held, flights)[0] - value[which]
     innovation = sample.value - value
     if sample.period:
         innovation -= sample.period * np.round(innovation / sample.period)
-    rounding = _ROUNDING * np.sum(np.abs(by * rows.x), axis=1) + 1e-300
+    rounding = _ROUNDING * np.abs(by * rows.x).sum(axis=1) + 1e-300
     noise = sample.variance + rounding**2 + jump**2
     root = rows.roots(ladders)
-    row = np.einsum("hi,hik->hk", by, root)
-    variance = np.sum(row * row, axis=1) + noise
+    row = (by[:, None] @ root)[:, 0]
+    variance = np.einsum("hk,hk->h", row, row) + noise
     z = np.abs(innovation) / np.sqrt(variance)
-    used = z <= sample.gate
     logw = rows.logw - np.minimum(z, sample.gate) ** 2 / 2 - np.log(variance) / 2
-    gain = np.einsum("hik,hk->hi", root, row) / variance[:, None]
+    gain = (root @ row[:, :, None])[..., 0] / variance[:, None]
     gain[:, considered] = 0.0
-    gain[~used] = 0.0
+    gain[z > sample.gate] = 0.0
     x = rows.x + gain * innovation[:, None]
     N = x.shape[1]
     if len(considered):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.dynamics import Motion
 from impact_observer.events import Contacts
 from impact_observer.model.live_samples import LiveSamples
 from impact_observer.robots.robot import Robot
@@ -31,6 +32,7 @@ class Way(NamedTuple):
     Attributes:
         robot: the robot.
         names: parameters by which derivatives are taken.
+        is_moved: whether the motion between impacts depends on one of them.
         closed: contacts that stay closed.
         step: of Runge and Kutta, s.
         short: steps up to which one linearisation in the middle is as exact as the step, s.
@@ -38,6 +40,7 @@ class Way(NamedTuple):
 
     robot: Robot
     names: tuple[str, ...]
+    is_moved: bool
     closed: Contacts
     step: float
     short: float
@@ -107,8 +110,8 @@ class _Step:
         square = first @ first
         Phi = first + square / 2 + square @ first / 6
         Phi.flat[:: len(Phi) + 1] += 1.0
-        if not self._way.names:
-            return Phi, np.zeros((len(Phi), 0))
+        if not self._way.is_moved:
+            return Phi, np.zeros((len(Phi), len(self._way.names)))
         n = len(Phi) // 2
         u = (self.before + self.after)[n:] / 2
         acceleration = (self.after - self.before)[n:] / self._h
@@ -134,12 +137,12 @@ class _Step:
         return found
 
 
-class RobotCourse:
+class RobotCourse(Motion):
     """The motion through one state, forward or back."""
 
     def __init__(self, way: Way, t: float, x: Vector, *, backward: bool) -> None:
         """From ``x``, shape (2n,), at ``t``, s since the epoch."""
-        self._way, self._t, self._x = way, t, x
+        self._way, self.t, self._x = way, t, x
         self._step = -way.step if backward else way.step
         self._steps: list[_Step] = []
         self._maps = [(np.eye(x.size), np.zeros((x.size, len(way.names))))]
@@ -148,6 +151,10 @@ class RobotCourse:
     def state(self, s: float) -> Vector:
         """The state after ``s`` seconds, shape (2n,)."""
         return self._to(s)[1].after if s else self._x
+
+    def states(self, s: Vector) -> Matrix:
+        """``state`` after each of ``s`` seconds, shape (samples, 2n)."""
+        return np.array([self.state(each) for each in s.tolist()])
 
     def maps(self, s: float) -> tuple[Matrix, Matrix]:
         """Its derivatives by the first state, shape (2n, 2n), and by parameters, (2n, p)."""
@@ -182,7 +189,7 @@ class RobotCourse:
     def _made(self, whole: int, seconds: float) -> _Step:
         """The step after some whole ones."""
         x = self._steps[whole - 1].after if whole else self._x
-        return _Step(self._way, self._t + whole * self._step, x, seconds)
+        return _Step(self._way, self.t + whole * self._step, x, seconds)
 
 
 def _after(maps: tuple[Matrix, Matrix], step: _Step) -> tuple[Matrix, Matrix]:

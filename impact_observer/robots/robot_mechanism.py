@@ -24,6 +24,7 @@ from impact_observer.dynamics.mechanism import (
 from impact_observer.errors import DynamicsError
 from impact_observer.events import Contacts
 from impact_observer.model import System
+from impact_observer.model.robot_description import RESTITUTION
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_course import RobotCourse, Way
 from impact_observer.robots.robot_family import RobotFamily
@@ -128,6 +129,14 @@ class RobotMechanism:
         if ending is not None and closed == ending[0].closed:
             closed = tuple(i for i in closed if i not in ending[1])
         return Grip(closed, closed)
+
+    def course(self, t: float, x: Vector, held: Contacts) -> RobotCourse:
+        """The motion through ``x``, shape (2n,), at ``t`` by steps of Runge and Kutta."""
+        return RobotCourse(self._way(held), t, x, backward=False)
+
+    def _way(self, held: Contacts) -> Way:
+        is_moved = any(not name.startswith(RESTITUTION) for name in self.names)
+        return Way(self.system, self.names, is_moved, held, self.window, _SHORT * self.window)
 
     def flown(self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /) -> Flown:
         """Steps of Runge and Kutta, one state after the other."""
@@ -299,13 +308,15 @@ class RobotMechanism:
         if known is not self._known:
             courses.clear()
             self._known = known
-        way, found = Way(robot, self.names, held, self.window, _SHORT * self.window), []
-        times, lengths = np.broadcast_to(t, len(x)).tolist(), np.broadcast_to(s, len(x)).tolist()
+        times, lengths, found = [*t], s.tolist(), list[tuple[RobotCourse, float]]()
+        if len(x) > 1:  # one for all
+            times = times * len(x) if len(times) == 1 else times
+            lengths = lengths * len(x) if len(lengths) == 1 else lengths
         for at, start, seconds in zip(times, x, lengths, strict=True):
             asked = at, seconds < 0, held, start.tobytes()
             course = courses.pop(asked, None)
             if course is None:
-                course = RobotCourse(way, at, start, backward=seconds < 0)
+                course = RobotCourse(self._way(held), at, start, backward=seconds < 0)
                 if len(courses) == _KEPT:
                     courses.popitem(last=False)
             courses[asked] = course  # the last to be forgotten

@@ -19,7 +19,6 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from impact_observer.dynamics import Grip, Mechanism, mechanism_of
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -30,6 +29,7 @@ from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.replica_law import OwnMotions
 from impact_observer.observer.readings import Reading, SampleOutcome
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_mechanism import RobotMechanism
 from impact_observer.robots.tangent_robot import tangent
 from impact_observer.robots.velocity_observer import MARGIN, certified_gain
 from impact_observer.states import Matrix, Vector
@@ -52,8 +52,8 @@ class MeasuredPosition(Law):
         return cast(Robot, self.system)
 
     @cached_property
-    def _mechanism(self) -> Mechanism:
-        return mechanism_of(self._robot)
+    def _mechanism(self) -> RobotMechanism:
+        return RobotMechanism(self._robot)
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """Replicas whose ``closed`` contacts have no speed."""
@@ -117,10 +117,8 @@ class MeasuredPosition(Law):
         return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
     def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
-        """Each replica by its own motion, on the planes of ``closed`` contacts."""
-        mechanism, grip = self._mechanism, Grip(closed, closed)
-        starts = [mechanism.stopped(x, closed) if closed else x for x in posterior.replicas]
-        motions = [mechanism.motion(t, x, grip) for x in starts]
+        """Each replica by its own motion."""
+        motions = [self._mechanism.course(t, x, closed) for x in posterior.replicas]
         return _Unmeasured(motions, posterior)
 
     def _jumped(self, change: ContactChange, x: Vector) -> Vector:
