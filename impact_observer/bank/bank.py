@@ -158,6 +158,7 @@ class Bank(NamedTuple):
         doubted: events in a row after which the model was in error almost surely.
         contradicted: events for which the last contradiction is still told.
         farthest: innovation at that one, in standard deviations.
+        is_expected: whether the last event was; then a restart at the next one is less likely.
         late: stamp of the last event less ``t``, s: the delay of the stamps as estimated.
     """
 
@@ -169,6 +170,7 @@ class Bank(NamedTuple):
     constants: Vector
     reported: Vector
     doubted: int = 0
+    is_expected: bool = False
     late: float = 0.0
     contradicted: int = 0
     farthest: float = 0.0

@@ -254,14 +254,23 @@ class ImpactBank:
         farthest = float(z[rows.best])
         is_expected = evidence - before >= math.log(self.rate) or self._trusts(farthest)
         if not (found and is_expected):
-            weight = before + priors.false_rate + numbers.log_restart
+            weight = numbers.log_restart
+            if bank.is_expected:
+                weight = max(priors.spurious, numbers.log_least_spurious) + numbers.log_sudden
+            weight += before + priors.false_rate
             found.append(self._restarted(replica, bank, event, weight, flights))
         rows = merged(Hypotheses.joined(found), self.ladders, numbers, self.scan)
         rows = rows._replace(held=rows.held & ~bits(event.opened))
         reported = bank.reported.copy()
         reported[list(event.hit)] = bank.t
         doubted = bank.doubted + 1 if self._is_in_error(bank.rows) else 0
-        bank = bank._replace(rows=rows, replica=replica, reported=reported, doubted=doubted)
+        bank = bank._replace(
+            rows=rows,
+            replica=replica,
+            reported=reported,
+            doubted=doubted,
+            is_expected=bool(found) and is_expected,
+        )
         if self._is_trusted and not self._trusts(farthest):
             bank = bank._replace(contradicted=numbers.remembered, farthest=farthest)
         elif bank.contradicted:

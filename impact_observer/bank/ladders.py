@@ -32,7 +32,9 @@ class Numbers(NamedTuple):
         log_leading: how likely a hypothesis is that changes its rungs, beside the likeliest.
         impulses: relative errors of an impulse, where encoders tell the jump.
         false_rate: of a contact that only gives false positives, over the fastest rate.
-        log_restart: of a restart beside false positives, where an event was not expected.
+        log_restart: of a restart beside false positives, where two events were not expected.
+        log_sudden: of a restart beside a false positive, where only the last one was not.
+        log_least_spurious: of a false positive, for these where none is declared.
         restart_deviation: at a restart, over the size of the motion.
         shallow: dips that are not deeper, in deviations, are no missed impacts.
         confident: the depth from which on an impact must have been missed, in deviations.
@@ -60,15 +62,17 @@ class Numbers(NamedTuple):
     """
 
     errors: tuple[float, ...] = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
-    clocks: tuple[float, ...] = (0.0, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3)
+    clocks: tuple[float, ...] = (0.0, 1e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
     first_errors: tuple[int, ...] = (0, 4, 6)
-    first_clocks: tuple[int, ...] = (0, 4)
+    first_clocks: tuple[int, ...] = (0, 5)
     log_move: float = math.log(0.01)
     farthest: int = 2
     log_leading: float = -8.0
     impulses: tuple[float, ...] = (0.0, 1.0)
     false_rate: float = 0.1
     log_restart: float = math.log(2.5e-3)
+    log_sudden: float = math.log(5e-4)
+    log_least_spurious: float = math.log(1e-2)
     restart_deviation: float = 1.0
     shallow: float = 0.5
     confident: float = 3.0

@@ -64,7 +64,7 @@ class Explanation:
     def missed(self) -> int:
         """Number of inserted impacts of contacts that have a sensor."""
         problem = self.fit.problem
-        return int(np.sum(problem.errors.has_sensor[problem.moments.inserted]))
+        return int(np.sum(problem.errors.has_sensor[problem.missed]))
 
     def is_better_than(self, other: "Explanation") -> bool:
         """Whether the account is likelier than ``other``: by more if it changes more events."""
@@ -190,7 +190,7 @@ def _explained(fit: MotionFit, reported: Moments, options: Options) -> Explanati
     moments = fit.problem.moments
     rejected = reported.row_moment.size - moments.row_moment.size
     flight = float(np.mean(reported.flights)) or 1.0
-    missed = np.maximum(fit.problem.errors.missed[moments.inserted], _LEAST)
+    missed = np.maximum(fit.problem.errors.missed[fit.problem.missed], _LEAST)
     evidence = fit.log_density + float(np.sum(np.log(missed)))
     evidence += max(rejected, 0) * log(max(options.spurious, _LEAST) / flight)
     return Explanation(fit, verdict_on(fit), evidence)

@@ -193,6 +193,7 @@ def identify(
         errors=ContactErrors.of(sensors, system.contact_names, Options.missed),
         clock=clock,
         samples=flight_samples(system, measurements, samples, run.epoch, within),
+        dead_time=dead_time,
     )
     _check_enough(problem)
 

@@ -75,11 +75,19 @@ class Moments:
         self.row_contact: Indices = np.array([i for _, i in rows], dtype=np.intp)
         self.first_row: Indices = np.searchsorted(self.row_moment, np.arange(len(self.each)))
 
-    @property
-    def inserted(self) -> Indices:
-        """Contacts of the missed detections of impacts, shape (any,)."""
-        missed = (each.switching.hit for each in self.each if not each.is_measured)
-        return np.array([i for hit in missed for i in hit], dtype=np.intp)
+    def missed(self, dead_time: float) -> Indices:
+        """Contacts of the missed detections that a sensor could have reported, shape (any,).
+
+        For ``dead_time`` seconds after an event the sensor reports no other of the contact.
+        """
+        reported, found = dict[int, Elapsed](), list[int]()
+        for moment in self.each:
+            for i in moment.switching.hit:
+                if moment.is_measured:
+                    reported[i] = moment.t
+                elif i not in reported or moment.t - reported[i] >= dead_time:
+                    found.append(i)
+        return np.array(found, dtype=np.intp)
 
     @property
     def count(self) -> int:

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from impact_observer.batch.linearised_motion import Array, LinearisedMotion, linearised
-from impact_observer.batch.moments import Moments, grouped
+from impact_observer.batch.moments import Indices, Moments, grouped
 from impact_observer.batch.noise_sizes import LARGEST_CLOCK, LARGEST_MODEL, ROUNDED, NoiseDensity
 from impact_observer.batch.passes import (
     Backward,
@@ -46,6 +46,8 @@ _LOST_AFTER = 8
 """Linearisations after which a search ends where the motion is still lost."""
 _SETTLED = 0.02
 """Largest change of states and parameters at the end of a search, in standard deviations."""
+_SETTLED_EXACT = 1.0
+"""The same where stamps are as exact as their rounding, and changes are rounding of the search."""
 _STEADY = 0.01
 """Change of the weight of a stamp that counts as none."""
 _ALIKE = 0.05
@@ -71,6 +73,7 @@ class BatchProblem:
         errors: declared errors of each contact's sensor.
         clock: declared standard deviation of other stamps, s; None to estimate the deviation.
         samples: of sensors beside the impacts.
+        dead_time: after an event, in which the sensor reports no other of the contact, s.
     """
 
     family: ParametricFamily
@@ -81,6 +84,12 @@ class BatchProblem:
     errors: ContactErrors
     clock: float | None = None
     samples: tuple[FlightSamples, ...] = ()
+    dead_time: float = 0.0
+
+    @property
+    def missed(self) -> Indices:
+        """Contacts of the missed detections that a sensor could have reported, shape (any,)."""
+        return self.moments.missed(self.dead_time)
 
     def __post_init__(self) -> None:
         """Take the rounding of stamps to 1 ns for the least declared error of a clock."""
@@ -302,7 +311,8 @@ def fitted(
         of_samples = fit.samples.inflation(fit.sample_errors)
         steady = np.max(np.abs(before / inflation - 1), initial=0.0) < _STEADY
         alike = np.allclose(sizes, were, rtol=_ALIKE, atol=0.0)
-        if not is_first and fit.distance < _SETTLED and steady and alike:
+        near_enough = _SETTLED if sizes.clock > ROUNDED else _SETTLED_EXACT
+        if not is_first and fit.distance < near_enough and steady and alike:
             settled = replace(fit, is_settled=True)
             sizes = fit.density.likeliest_of_all(sizes, problem.clock)
             if first is not None or sizes == fit.sizes:

@@ -152,6 +152,7 @@ def _smoothed(  # noqa: PLR0917
         errors=ContactErrors.of(sensors, system.contact_names, options.missed),
         clock=declared.clock_error,
         samples=flight_samples(system, measurements, samples, run.epoch, (run.start, last)),
+        dead_time=options.dead_time,
     )
 
     with np.errstate(all="ignore"):

@@ -106,7 +106,7 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
     if speeds.size and float(np.median(speeds)) > 0:
         yield "contacts open where they should close: the motion is on the other side of a stop"
     yield from _of_sensors(fit)
-    changed = int(np.sum(fit.problem.errors.has_sensor[moments.inserted]))
+    changed = int(np.sum(fit.problem.errors.has_sensor[fit.problem.missed]))
     if changed > _OUTLIERS * max(moments.count, 1):
         yield f"{changed} of {moments.count} impacts had to be inserted"
 

@@ -127,23 +127,23 @@ def test_velocities_are_known_while_an_arm_bounces_rests_and_leaves() -> None:
 
 
 @pytest.mark.long
-def test_hits_whose_jumps_the_law_does_not_explain_are_a_misfit_within_ten() -> None:
+def test_hits_whose_jumps_the_law_does_not_explain_are_a_misfit_after_a_dozen() -> None:
     """The plant bounces far higher than declared: the encoders tell the velocities then."""
     model = MODEL
     assert model.robot is not None
     plant = Robot(model.robot.with_parameters({"restitution.wall": 0.9}))
-    recording = Truth.of_plant(plant, model.initial_state(), RATE, 12.0).recorded(seed=0)
+    recording = Truth.of_plant(plant, model.initial_state(), RATE, 24.0).recorded(seed=0)
     found = filtered(observer_of(model, recording), recording)
-    assert 0 < found.warned <= 10
+    assert 0 < found.warned <= 14
     free = observer_of(without_contacts(model, TORQUES), recording)
     inflated = filtered(free, recording, inflated=10.0)
     assert recording.error(found.speeds) < 1.1 * recording.error(inflated.speeds)
 
 
-def test_encoders_at_200_hz_take_one_look_at_the_gaps_an_instant(
+def test_encoders_at_200_hz_take_few_looks_at_the_gaps_an_instant(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Far from the wall a sample of all joints takes two steps of the motion, and no search."""
+    """Far from the wall a flight looks at its end, and each sample once: there is no search."""
     recording = recorded(seed=1, seconds=0.4)
     observer, samples, looks = observer_of(MODEL, recording), iter(recording.samples), []
     gaps = Robot.gaps_and_directions
@@ -156,7 +156,7 @@ def test_encoders_at_200_hz_take_one_look_at_the_gaps_an_instant(
     for _ in recording.truth.stamps:
         observer.measure([next(samples) for _ in range(2)])
     assert not recording.truth.hits
-    assert len(looks) <= recording.truth.stamps.size + 1
+    assert len(looks) <= 3 * recording.truth.stamps.size
 
 
 def test_samples_in_any_order_give_the_same_estimate() -> None:
