@@ -1,16 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The warnings of a model that does not explain the impacts."""
 
-from impact_observer.model import System
-from impact_observer.robots.robot import Robot
-
 MISFIT = (
     "the model does not explain the impacts: restitution, stiffness, damping, forces or gaps are"
     " not the plant's, or the stamps are late or drift; see docs/troubles.md"
-)
-ROBOT_MISFIT = (
-    "the model does not explain the impacts: {}, or restitution or planes are not the"
-    " robot's, or the stamps are late or drift; see docs/troubles.md"
 )
 CONTRADICTION = (
     "an impact came {:.3g} standard deviations or more from its prediction, which the declared"
@@ -27,10 +20,3 @@ JUMPS = (
 )
 EXPLAINED = "the model explains the impacts again"
 """What is said when a misfit has ended."""
-
-
-def misfit_of(system: System | Robot) -> str:
-    """The warning that the model of a ``system`` does not explain the impacts."""
-    if isinstance(system, Robot):
-        return ROBOT_MISFIT.format(system.description.larger_errors)
-    return MISFIT

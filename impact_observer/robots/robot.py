@@ -337,11 +337,6 @@ class Robot:
         short = W.T @ self.acceleration(q, u, tau) + self.bias(q, u, closed)
         return np.asarray(_least(W.T @ held, -short))
 
-    def load_gradients(self, x: Vector, tau: Vector, closed: Sequence[int]) -> Matrix:
-        """Derivatives of ``loads`` by the state ``x``, of second order, shape (k, 2n)."""
-        n = self.n
-        return _differences(lambda at: self.loads(at[:n], at[n:], tau, closed), x)
-
     def acceleration_derivatives(
         self, q: Vector, u: Vector, tau: Vector, closed: Sequence[int] = ()
     ) -> tuple[Matrix, Matrix, Matrix]:

@@ -39,17 +39,6 @@ def torques_by_parameters(
     return found
 
 
-def loads_by_parameters(
-    robot: Robot, x: Vector, tau: Vector, names: Sequence[str], closed: Contacts
-) -> Matrix:
-    """Derivatives of ``Robot.loads`` by parameters, shape (k, p), SI units."""
-    n = robot.n
-    acceleration = robot.acceleration(x[:n], x[n:], tau, closed)
-    drags = torques_by_parameters(robot, x[n:], acceleration, names)
-    W, held = robot.kicks(x[:n], closed)
-    return np.asarray(-np.linalg.pinv(W.T @ held, hermitian=True) @ held.T @ drags)
-
-
 def jump_by_parameters(robot: Robot, x: Vector, pushed: Contacts, names: Sequence[str]) -> Matrix:
     """Derivatives of ``Robot.jumped`` by parameters, shape (2n, p), SI units."""
     n, found = robot.n, np.zeros((2 * robot.n, len(names)))

@@ -267,7 +267,9 @@ def test_a_motion_that_no_impact_shows_does_not_run_away(seed: int) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_rig_of_half_a_millimetre_is_followed_from_a_start_that_is_off_by_a_metre(seed: int) -> None:
+def test_a_rig_of_half_a_millimetre_is_followed_from_a_start_that_is_off_by_a_metre(
+    seed: int,
+) -> None:
     """What counts as slow follows from the motion, not from what was declared of the start."""
     model, start, _ = truth("two_mass", 60.0)
     (stop,) = model.contacts

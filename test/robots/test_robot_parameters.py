@@ -8,11 +8,7 @@ import pytest
 from arms import random_arm
 
 from impact_observer.robots.robot import Robot
-from impact_observer.robots.robot_parameters import (
-    jump_by_parameters,
-    loads_by_parameters,
-    rates_by_parameters,
-)
+from impact_observer.robots.robot_parameters import jump_by_parameters, rates_by_parameters
 from impact_observer.states import Matrix, Vector
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
@@ -45,9 +41,6 @@ def test_derivatives_by_parameters_are_those_of_differences(
     expected = slopes(lambda other: other.rates(x, tau, contacts))
     assert np.allclose(found, expected, rtol=1e-5, atol=1e-5 * np.max(np.abs(expected)))
     if contacts:
-        found = loads_by_parameters(robot, x, tau, names, contacts)
-        expected = slopes(lambda other: other.loads(x[:4], x[4:], tau, contacts))
-        assert np.allclose(found, expected, rtol=1e-5, atol=1e-5 * np.max(np.abs(expected)))
         found = jump_by_parameters(robot, x, contacts, names)
         expected = slopes(lambda other: other.jumped(x, contacts))
         assert np.allclose(found, expected, rtol=1e-6, atol=1e-7 * np.max(np.abs(expected)))

@@ -25,7 +25,7 @@ from impact_observer.observer.belief import Belief, Learned, Onset, Parameters, 
 from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.misfit import CONTRADICTION, MISFIT, SILENCE
+from impact_observer.observer.misfit import CONTRADICTION, JUMPS, MISFIT, SILENCE
 from impact_observer.observer.readings import Reading, SampleOutcome
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.robots.robot import Robot
@@ -134,11 +134,9 @@ class MinimumVariance(Law):
         if bank.contradicted:
             misfit = CONTRADICTION.format(bank.farthest)
         elif bank.doubted >= _DOUBTED:
-            level = float(rows.weights @ ladders.kicks[rows.r])
-            what = "flights miss by {:.2g} of the accelerations"
-            if not ladders.is_learned:
-                what = "impulses miss by {:.2g} of their size"
-            misfit = f"{MISFIT}: {what.format(level)}"
+            level = float(rows.weights @ ladders.errors[rows.r])
+            misfit = f"{MISFIT}: flights miss by {level:.2g} of the accelerations"
+            misfit = misfit if ladders.is_learned else JUMPS
         clock = float(ladders.clocks[rows.c[rows.best]])
         noted = rows.notes[rows.best]
         return {"bank": bank, "noted": noted, "clock_deviation": clock, "misfit": misfit}
