@@ -156,6 +156,7 @@ class Bank(NamedTuple):
         constants: parameters and delay about which flights are linearised, shape (N - 2n,).
         reported: when each contact was reported to hit last, s since the epoch, shape (m,).
         doubted: events in a row after which the model was in error almost surely.
+        ago: how long ago the replica holds, s: at the last event.
         contradicted: events for which the last contradiction is still told.
         farthest: innovation at that one, in standard deviations.
         is_expected: whether the last event was; then a restart at the next one is less likely.
@@ -170,6 +171,7 @@ class Bank(NamedTuple):
     constants: Vector
     reported: Vector
     doubted: int = 0
+    ago: float = 0.0
     is_expected: bool = False
     late: float = 0.0
     contradicted: int = 0

@@ -175,25 +175,32 @@ class ImpactBank:
 
     def predicted(self, bank: Bank, s: float, named: Contacts = ()) -> Bank:
         """The bank ``s`` seconds later, just before an event of the contacts ``named`` if any."""
-        if s <= 0:
-            return bank
-        flights = self.flights(bank.constants)
-        leg = Leg(bank.t, s, (), bank.intensity, named, self.deaf(bank, bank.t))
-        rows = flights.moved(bank.rows, leg)
-        replica = rows.x[rows.best, : self.d]
-        middle = replica
-        if not self.family.system.has_encoders:
-            half = np.array([s / 2, s])
-            replicas = np.tile(bank.replica, (2, 1))
-            middle, replica = flights.mechanism.flown([bank.t] * 2, replicas, half, ()).x
+        if s > 0:
+            leg = Leg(bank.t, s, (), bank.intensity, named, self.deaf(bank, bank.t))
+            rows = self.flights(bank.constants).moved(bank.rows, leg)
+            bank = bank._replace(t=bank.t + s, rows=rows, ago=bank.ago + s)
+            if self.family.system.has_encoders:
+                x = rows.x[rows.best, : self.d]
+                return self._sized(bank._replace(replica=x, ago=0.0), x**2, s)
+        return self._followed(bank) if named and bank.ago > 0 else bank
+
+    def _followed(self, bank: Bank) -> Bank:
+        """The bank with its replica at its own instant, whose motion since then has a size."""
+        s, flights = bank.ago, self.flights(bank.constants)
+        start, replicas = bank.t + -s, np.tile(bank.replica, (2, 1))
+        middle, replica = flights.mechanism.flown(
+            [start] * 2, replicas, np.array([s / 2, s]), ()
+        ).x
+        bank = bank._replace(replica=replica, ago=0.0)
+        return self._sized(bank, (middle**2 + replica**2) / 2, s)
+
+    def _sized(self, bank: Bank, squares: Vector, s: float) -> Bank:
+        """The bank with the mean squares of its motion in the last ``s`` seconds, shape (2n,)."""
         # flights shorter than the fastest period, as between samples, count less
         kept = self.numbers.forgetting ** min(s * self.rate / (2 * math.pi), 1.0)
-        squares = kept * bank.squares + (1 - kept) * (middle**2 + replica**2) / 2
+        squares = kept * bank.squares + (1 - kept) * squares
         squares = np.minimum(squares, 4 * bank.squares)
-        intensity = self._intensity(np.sqrt(2 * squares))
-        return bank._replace(
-            t=bank.t + s, rows=rows, replica=replica, squares=squares, intensity=intensity
-        )
+        return bank._replace(squares=squares, intensity=self._intensity(np.sqrt(2 * squares)))
 
     def flown_on(self, bank: Bank, s: float) -> tuple[Vector, Matrix]:
         """The likeliest hypothesis ``s`` seconds later as if no impact came, and a root of it.
