@@ -8,10 +8,9 @@ from itertools import combinations
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.model.elements import Element
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.rebounds import REBOUND_UNITS
-from impact_observer.model.system import System, unit_of
+from impact_observer.model.system import Element, System, unit_of
 from impact_observer.states import Matrix
 
 OFFSET, LATENCY = "clock-offset", "latency"

@@ -6,27 +6,139 @@ functions of the samples alone, not of the order or time of their arrival.
 """
 
 from bisect import bisect_left, bisect_right
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.errors import UsageError
 from impact_observer.model.document import LARGEST
-from impact_observer.model.force_samples import JETS
-from impact_observer.model.forcing import Forcing
-from impact_observer.model.live_samples import NEVER, LiveSamples
+from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.model.system import System
 from impact_observer.states import Vector
 
+NEVER = -(1 << 62)
+"""A stamp before all samples, ns."""
 _NS = 1e-9
-_FEW = 8
-"""Stamps up to which values are looked up one by one."""
+_ROUNDING = 2.5e-10
+"""Largest difference of two instants that counts as zero, s: a quarter of a stamp."""
+_REMEMBERED = 1024
+"""Changes that motions can follow; a motion that has seen fewer computes all windows anew."""
 _OFTEN = 1000
 """Number of samples that are forgotten together."""
+_Rows: TypeAlias = NDArray[np.float64]
+
+
+class _Tail:
+    """An array whose last rows change, with room for more: to append one copies no others.
+
+    Attributes:
+        rows: the array; arrays that were its ``rows`` before do not change.
+    """
+
+    def __init__(self, rows: _Rows) -> None:
+        """Start with some ``rows``."""
+        self.rows, self._room = rows, rows[:0]
+
+    def change(self, first: int, rows: _Rows) -> None:
+        """Replace the rows from the ``first`` on."""
+        last, again = first + len(rows), self.rows[first:]
+        is_new = len(again) <= len(rows) and np.array_equal(again, rows[: len(again)])
+        if not is_new or last > len(self._room):
+            self._room = np.empty((2 * last, *rows.shape[1:]))
+            self._room[:first] = self.rows[:first]
+        self._room[first:last] = rows
+        self.rows = self._room[:last]
+
+    def forget(self, first: int) -> None:
+        """Forget the rows before the ``first``."""
+        self.rows, self._room = self.rows[first:], self._room[first:]
+
+
+class LiveSamples(Samples):
+    """Samples that change.
+
+    Attributes:
+        changes: number of changes up to now.
+        dropped: number of forgotten samples.
+        newest: samples before this instant are final, s since the epoch.
+    """
+
+    changes: int
+    dropped: int
+    newest: float
+    _drives: NDArray[np.bool_]
+    _since: deque[float]
+    _tails: tuple[_Tail, _Tail]
+
+    def __init__(self, base: Samples | None, drives: NDArray[np.bool_], newest: float) -> None:
+        """Begin with the samples of ``base``, or with zero forces.
+
+        Args:
+            base: known samples; None without any.
+            drives: which coordinates live signals drive, shape (n,).
+            newest: as the attribute.
+        """
+        n = drives.size
+        time, jets = np.array([NEVER * _NS, 0.0]), np.zeros((JETS, 2, n))
+        if base is not None and base.jets is not None:
+            time, jets = base.time, base.jets
+        super().__init__(time, jets[0], "cubic", jets)
+        used = drives if base is None else drives | base.drives
+        for name, value in {
+            "_drives": used,
+            "dropped": 0,
+            "newest": newest,
+            "changes": 0,
+            "_since": deque(maxlen=_REMEMBERED),
+            "_tails": (_Tail(time), _Tail(jets.swapaxes(0, 1))),
+            "jumps": True,
+            "rounding": _ROUNDING,
+        }.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def drives(self) -> NDArray[np.bool_]:
+        """Which coordinates may have a force, shape (n,)."""
+        return self._drives
+
+    @property
+    def end(self) -> float:
+        """Infinity: a live signal has no last sample."""
+        return np.inf
+
+    def changed_since(self, changes: int) -> float:
+        """The first instant of samples that differ since ``changes``, s since the epoch."""
+        count = self.changes - changes
+        recent = list(self._since)
+        return -np.inf if count > len(recent) else min(recent[-count:], default=np.inf)
+
+    def change(self, first: int, time: Vector, jets: NDArray[np.float64], newest: float) -> None:
+        """Replace the samples from number ``first`` on; forgotten samples count."""
+        for tail, each in zip(self._tails, (time, jets.swapaxes(0, 1)), strict=True):
+            tail.change(first - self.dropped, each)
+        self._use_tails()
+        self._since.append(float(self.time[max(first - self.dropped - 1, 0)]))
+        object.__setattr__(self, "changes", self.changes + 1)
+        object.__setattr__(self, "newest", newest)
+
+    def forget(self, first: int) -> None:
+        """Forget the samples before number ``first``."""
+        for tail in self._tails:
+            tail.forget(first - self.dropped)
+        self._use_tails()
+        object.__setattr__(self, "dropped", first)
+
+    def _use_tails(self) -> None:
+        """Set what is derived."""
+        time, jets = (tail.rows for tail in self._tails)
+        jets = jets.swapaxes(0, 1)
+        for name, value in {"time": time, "jets": jets, "force": jets[0]}.items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(slots=True)
@@ -37,16 +149,12 @@ class _Signal:
     stamps: list[int]
     values: list[float]
 
-    def held(self, at: NDArray[np.int64]) -> Sequence[float] | Vector:
+    def held(self, at: NDArray[np.int64]) -> Vector:
         """The values of a force just after stamps ``at`` (ns, ascending), shape (samples,)."""
-        if at.size > _FEW and self.stamps:
-            first = max(bisect_right(self.stamps, int(at[0])) - 1, 0)
-            last = bisect_right(self.stamps, int(at[-1])) + 1
-            values = np.array(self.values[first:last])
-            k = np.searchsorted(np.array(self.stamps[first:last]), at, side="right") - 1
-            return np.where(k < 0, 0.0, values[k])
-        before = (bisect_right(self.stamps, stamp) for stamp in at.tolist())
-        return [self.values[k - 1] if k else 0.0 for k in before]
+        first = max(bisect_right(self.stamps, int(at[0])) - 1, 0)
+        last = bisect_right(self.stamps, int(at[-1]))
+        number = np.searchsorted(np.array(self.stamps[first:last], np.int64), at, side="right")
+        return np.asarray(np.array([0.0, *self.values[first:last]])[number])
 
 
 class _Received(NamedTuple):
@@ -92,13 +200,8 @@ class LiveSignals:
         self._least = NEVER
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of inputs, in the order of ``newest``."""
-        return tuple(each.name for each in self._signals)
-
-    @property
     def newest(self) -> list[int]:
-        """Stamp of the latest used sample of each signal in ``names``, ns; 0 before the first."""
+        """Stamp of the latest used sample of each of the ``inputs``, ns; 0 before the first."""
         return [*self._newest]
 
     @property
@@ -221,8 +324,7 @@ def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSign
     if system.live is None:
         return system, None
     signals = LiveSignals(system, causal=causal)
-    forcing: Forcing = replace(system.forcing, sampled=signals.samples)
-    return replace(system, forcing=forcing), signals
+    return replace(system, forcing=replace(system.forcing, sampled=signals.samples)), signals
 
 
 def refused(system: System, what: str) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import Value, check_names, finite
+from impact_observer.model.document import check_names, finite
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import unit_of
@@ -61,7 +61,6 @@ class RobotDescription:
             efforts which are held from sample to sample.
         gravity: in the root frame, shape (3,), m/s^2.
         forcing: torques and forces of the plant's drives, N m or N.
-        document: the keys of the model file from which this was read, for its text.
 
     Raises:
         ModelError: a value is wrong; the error names the key of the model file.
@@ -79,7 +78,6 @@ class RobotDescription:
     torque_deviation: Vector | None = None
     gravity: Vector = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     forcing: Forcing = field(default_factory=lambda: Forcing.none(0))
-    document: Mapping[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Copy, freeze and check all fields; vectors that are empty are zero."""
@@ -211,8 +209,7 @@ class RobotDescription:
         Raises:
             ModelError: the URDF does not fit the model file.
         """
-        urdf = Urdf(text, f"topic {self.topic}")
-        return replace(self, urdf=urdf, document={**self.document, "urdf": text})
+        return replace(self, urdf=Urdf(text, f"topic {self.topic}"))
 
     @property
     def urdf_joints(self) -> tuple[UrdfJoint, ...]:

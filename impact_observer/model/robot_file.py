@@ -8,27 +8,19 @@ import numpy as np
 from msgspec import UnsetType
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Value, check_names, vector
-from impact_observer.model.matrices import smooth_forcing
-from impact_observer.model.matrix_files import file_beside
+from impact_observer.model.document import check_names, vector
+from impact_observer.model.files_beside import file_beside
+from impact_observer.model.linear_model import smooth_forcing
 from impact_observer.model.rebounds import read_rebound
 from impact_observer.model.robot_description import PlaneContact, RobotDescription, one_of_each
-from impact_observer.model.sampled_files import written_samples
 from impact_observer.model.schema import RobotContact, RobotModel, TopicKeys
 from impact_observer.model.urdf_file import Urdf
 from impact_observer.resources import read_text
 from impact_observer.states import Vector
 
 
-def read_robot(
-    model: RobotModel, document: Mapping[str, Value], folder: Path | None
-) -> RobotDescription:
-    """The robot in a model file.
-
-    Args:
-        model: the keys of the file.
-        document: the same keys as they stand in the file, without those of all models.
-        folder: that of the URDF.
+def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
+    """The robot in a model file; ``folder`` is where its other files lie.
 
     Raises:
         ModelError: a value is wrong; the error names the key and the expected value.
@@ -36,13 +28,6 @@ def read_robot(
     check_names("joints", model.joints)
     joints, urdf = tuple(model.joints), _urdf(model.urdf, folder)
     forcing = smooth_forcing(model.forcing, joints, folder, one_of_each(joints, urdf))
-    written = dict(document)
-    if urdf is not None:
-        written["urdf"] = urdf.text
-    if forcing.sampled is not None:
-        own = written["forcing"]
-        assert isinstance(own, Mapping), "the schema has checked it"
-        written["forcing"] = {**own, **written_samples(forcing.sampled, joints)}
     return RobotDescription(
         name=model.name,
         joints=joints,
@@ -56,7 +41,6 @@ def read_robot(
         torque_deviation=_torque_deviation(model.torque_deviation, joints, urdf),
         gravity=vector("gravity", model.gravity, 3),
         forcing=forcing,
-        document=written,
     )
 
 

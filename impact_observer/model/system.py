@@ -85,6 +85,29 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Element:
+    """A mass, a spring or a damper of a system on one line.
+
+    Attributes:
+        kind: ``mass``, ``stiffness`` or ``damping``.
+        label: the body, or the two ends of a spring, such as ``ground-x1``; a second spring
+            between the same ends is ``ground-x1#2``.
+        value: kg, N/m or Ns/m.
+        row: of the coordinates in its displacement, shape (n,).
+    """
+
+    kind: str
+    label: str
+    value: float
+    row: Vector
+
+    @property
+    def matrix(self) -> Matrix:
+        """What its ``value`` is multiplied with in the matrix of its kind, shape (n, n)."""
+        return np.outer(self.row, self.row)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class System:
     """A linear system with stops: the model that the plant and its replicas share.
 

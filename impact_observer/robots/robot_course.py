@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.events import Contacts
-from impact_observer.model.live_samples import LiveSamples
+from impact_observer.model.live_signals import LiveSamples
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_parameters import torques_by_parameters
 from impact_observer.square_roots import triangular

@@ -6,7 +6,7 @@ import pytest
 
 from impact_observer.errors import ModelError
 from impact_observer.model import Model, parse_model
-from impact_observer.model.time_shift import NO_SHIFT, TimeShift
+from impact_observer.model.fit_verdict import NO_SHIFT, TimeShift
 from impact_observer.resources import shared
 
 VERDICT = "provenance: {fits: false, residual: 2.0e-5, shift: 1.0e-4, interval: 0.5, seed: 3}"
