@@ -23,11 +23,6 @@ class TimeShift(NamedTuple):
     largest: float
     interval: float
 
-    @classmethod
-    def of(cls, shifts: Vector, stamps: Vector) -> "TimeShift":
-        """The shift of a motion that leaves ``shifts`` at ``stamps``, s, shape (k,), k > 1."""
-        return cls(float(np.max(np.abs(shifts))), float(np.ptp(stamps)) / (stamps.size - 1))
-
     def errors(self, x: Vector) -> Vector:
         """Errors of a state (q, u), shape (2n,), in SI units.
 

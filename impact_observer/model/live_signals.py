@@ -96,7 +96,6 @@ class LiveSamples(Samples):
             "changes": 0,
             "_since": deque(maxlen=_REMEMBERED),
             "_tails": (_Tail(time), _Tail(jets.swapaxes(0, 1))),
-            "jumps": True,
             "rounding": _ROUNDING,
         }.items():
             object.__setattr__(self, name, value)

@@ -18,7 +18,7 @@ from impact_observer.errors import ModelError, NotLinearError, UsageError
 from impact_observer.model.contact_sensors import KEY as SENSORS
 from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors, contact_sensors
 from impact_observer.model.document import Value, converted, vector
-from impact_observer.model.fit_verdict import WrittenVerdict, TimeShift, verdict_keys
+from impact_observer.model.fit_verdict import TimeShift, WrittenVerdict, verdict_keys
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.linear_model import (
     matrices_of,
