@@ -2,7 +2,7 @@
 """A model file: a linear system or a robot, and the initial state of the plant.
 
 Reading takes a few steps: the YAML (``yaml_text``), deviations set apart (``parameters_in_file``),
-keys and values (``schema``), the system of them (``linear_model``, or ``robot_file``).
+keys and values (``schema``), and the system (``linear_model``, or ``robot_description``).
 """
 
 import re
@@ -32,8 +32,7 @@ from impact_observer.model.parameters_in_file import (
     with_deviations,
     without_deviations,
 )
-from impact_observer.model.robot_description import RobotDescription, one_of_each
-from impact_observer.model.robot_file import read_robot
+from impact_observer.model.robot_description import RobotDescription, one_of_each, read_robot
 from impact_observer.model.schema import Common, ElementModel, MatrixModel, RobotModel, State
 from impact_observer.model.system import LARGEST_STATE, UNITS, UNKNOWN_UNIT, Element, System
 from impact_observer.model.yaml_text import load_yaml, yaml_text
