@@ -207,10 +207,7 @@ def vector(
     """
     if isinstance(values, msgspec.UnsetType):
         return np.zeros(n)
-    if len(values) != n:
-        problem = f"{len(values)} values found; expected a list of {n} numbers{meaning}"
-        raise ModelError(key, problem)
-    return np.array(values)
+    return finite(key, values, (n,), f"a list of {n} numbers{meaning}")
 
 
 def matrix(key: str, rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> Vector:
@@ -229,12 +226,14 @@ def matrix(key: str, rows: Sequence[Sequence[float]], shape: tuple[int, int]) ->
     return np.reshape(np.array(rows, dtype=np.float64), shape)
 
 
-def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Vector:
+def finite(
+    key: str, values: ArrayLike, shape: tuple[int, ...], what: str, largest: float = LARGEST
+) -> Vector:
     """``values`` as a frozen array of ``shape``; ``what`` names the expected value in errors.
 
     Raises:
-        ModelError: ``values`` have another shape, or a value that is no finite number or too
-            large.
+        ModelError: ``values`` have another shape, or a value that is no finite number or larger
+            than ``largest``.
     """
     try:
         array = frozen(values)
@@ -242,13 +241,14 @@ def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Ve
         raise ModelError(key, f"is not made of numbers only; expected {what}") from None
     if array.shape != shape:
         given = " x ".join(map(str, array.shape)) or "a single number"
-        raise ModelError(key, f"has shape {given}; expected {what}")
-    if (np.abs(array) <= LARGEST).all():
+        found = f"{given} values found" if array.ndim == 1 else f"has shape {given}"
+        raise ModelError(key, f"{found}; expected {what}")
+    if (np.abs(array) <= largest).all():
         return array
-    at = np.argwhere(~(np.abs(array) <= LARGEST))[0]
+    at = np.argwhere(~(np.abs(array) <= largest))[0]
     index = "".join(f"[{i}]" for i in at)
     is_finite = math.isfinite(array[tuple(at)])
-    why = f"is too large; expected at most {LARGEST:g}" if is_finite else "is not finite"
+    why = f"is too large; expected at most {largest:g}" if is_finite else "is not finite"
     raise ModelError(f"{key}{index}", why)
 
 

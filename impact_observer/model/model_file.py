@@ -17,7 +17,7 @@ from msgspec import UnsetType
 from impact_observer.errors import ModelError, NotLinearError, UsageError
 from impact_observer.model.contact_sensors import KEY as SENSORS
 from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors, contact_sensors
-from impact_observer.model.document import Value, converted, vector
+from impact_observer.model.document import Value, converted, finite
 from impact_observer.model.fit_verdict import TimeShift, WrittenVerdict, verdict_keys
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.linear_model import (
@@ -37,7 +37,7 @@ from impact_observer.model.schema import Common, ElementModel, MatrixModel, Robo
 from impact_observer.model.system import LARGEST_STATE, UNITS, UNKNOWN_UNIT, Element, System
 from impact_observer.model.yaml_text import load_yaml, yaml_text
 from impact_observer.resources import read_file_or_sample
-from impact_observer.states import Vector, frozen
+from impact_observer.states import Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -336,16 +336,11 @@ def _state(
     """Positions and velocities at the epoch of ``n`` coordinates, shape (n,) each, if any."""
     if isinstance(given, UnsetType):
         return None, None
-    position, velocity = (
-        frozen(vector(f"initial_state.{name}", getattr(given, name), n, meaning))
-        for name in ("position", "velocity")
+    wanted = f"a list of {n} numbers{meaning}"
+    return (
+        finite("initial_state.position", given.position, (n,), wanted, LARGEST_STATE),
+        finite("initial_state.velocity", given.velocity, (n,), wanted, LARGEST_STATE),
     )
-    for name, values in (("position", position), ("velocity", velocity)):
-        for i in np.flatnonzero(np.abs(values) > LARGEST_STATE):
-            raise ModelError(
-                f"initial_state.{name}[{i}]", f"is too large; expected at most {LARGEST_STATE:g}"
-            )
-    return position, velocity
 
 
 def _start(given: State | UnsetType, system: System) -> tuple[Vector | None, Vector | None]:
