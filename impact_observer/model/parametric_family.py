@@ -74,19 +74,10 @@ class Coefficients:
         zero = {name: np.zeros_like(getattr(given, name)) for name in cls.__slots__}
         return cls(**{**zero, **parts})
 
-    @property
-    def eps(self) -> Vector:
-        """The coefficients of restitution of plain contacts, shape (m,)."""
-        return self.rebound[:, 0]
-
-    def law(self, system: System, contact: int) -> ReboundLaw:
-        """How a contact of a ``system`` of the family rebounds."""
-        given = system.rebounds[contact]
-        return given.with_values(self.rebound[contact, : len(given.units)].tolist())
-
     def laws(self, system: System) -> tuple[ReboundLaw, ...]:
         """How all contacts of a ``system`` of the family rebound."""
-        return tuple(self.law(system, i) for i in range(system.m))
+        rows = zip(system.rebounds, self.rebound.tolist(), strict=True)
+        return tuple(law.with_values(row[: len(law.units)]) for law, row in rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
