@@ -3,14 +3,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from msgspec import UnsetType
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import check_names, finite, vector
+from impact_observer.model.document import check_names, vector
 from impact_observer.model.files_beside import file_beside
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.linear_model import smooth_forcing
@@ -75,36 +74,20 @@ class RobotDescription:
     name: str
     joints: tuple[str, ...]
     urdf: Urdf | None
-    topic: str = ""
-    held: Mapping[str, float] = field(default_factory=dict)
-    own_damping: Vector = field(default_factory=lambda: np.zeros(0))
-    rotor_inertia: Vector = field(default_factory=lambda: np.zeros(0))
-    contacts: tuple[PlaneContact, ...] = ()
-    forces: tuple[str, str] | None = None
-    torque_deviation: Vector | None = None
-    gravity: Vector = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
-    forcing: Forcing = field(default_factory=lambda: Forcing.none(0))
+    topic: str
+    held: Mapping[str, float]
+    own_damping: Vector
+    rotor_inertia: Vector
+    contacts: tuple[PlaneContact, ...]
+    forces: tuple[str, str] | None
+    torque_deviation: Vector | None
+    gravity: Vector
+    forcing: Forcing
 
     def __post_init__(self) -> None:
-        """Copy, freeze and check all fields; vectors that are empty are zero."""
+        """Check names, and that the URDF has what they name."""
         check_names("joints", self.joints, "names of joints of the URDF")
-        check_names("contacts", [each.name for each in self.contacts])
-        n = self.n
-        for name in ("own_damping", "rotor_inertia", "torque_deviation"):
-            key = "damping" if name == "own_damping" else name
-            given = getattr(self, name)
-            if given is None:
-                continue
-            values = finite(key, given if np.size(given) else np.zeros(n), (n,), f"{n} numbers")
-            for i in np.flatnonzero(values < 0).tolist():
-                problem = f"is {values[i]:g}; expected a number not below zero"
-                raise ModelError(f"{key}.{self.joints[i]}", problem)
-            object.__setattr__(self, name, values)
-        object.__setattr__(self, "gravity", finite("gravity", self.gravity, (3,), "3 numbers"))
-        contacts = tuple(_checked_contact(i, each) for i, each in enumerate(self.contacts))
-        object.__setattr__(self, "contacts", contacts)
-        forcing = self.forcing if self.forcing.constant.size else Forcing.none(n)
-        object.__setattr__(self, "forcing", forcing.checked(n))
+        check_names("contacts", self.contact_names)
         if self.urdf is not None:
             self._check_joints(self.urdf)
             for i, each in enumerate(self.contacts):
@@ -268,15 +251,26 @@ class RobotDescription:
             ModelError: a value is impossible, such as a restitution above 1.
         """
         known = {**self.parameters, **values}
+        for name in values:
+            if known[name] < 0:
+                raise ModelError(name, f"{known[name]:g} found; expected a number of at least 0")
 
         def of_joints(kind: str) -> Vector:
-            return np.array([known[f"{kind}.{name}"] for name in self.joints])
+            return frozen([known[f"{kind}.{name}"] for name in self.joints])
 
+        contacts = []
+        for i, each in enumerate(self.contacts):
+            eps = f"{RESTITUTION}.{each.name}"
+            own = [
+                known[eps] if p.kind == RESTITUTION else p.value for p in each.rebound.parameters
+            ]
+            law = each.rebound.with_values(own).checked(f"contacts[{i}]") if own else each.rebound
+            contacts.append(replace(each, rebound=law))
         return replace(
             self,
             own_damping=of_joints(DAMPING),
             rotor_inertia=of_joints(ROTOR_INERTIA),
-            contacts=tuple(_with_restitution(each, known) for each in self.contacts),
+            contacts=tuple(contacts),
         )
 
     def _check_joints(self, urdf: Urdf) -> None:
@@ -327,34 +321,12 @@ def _by_joint(kind: str, joints: Sequence[str], values: Vector) -> dict[str, flo
     return {f"{kind}.{name}": value for name, value in zip(joints, values.tolist(), strict=True)}
 
 
-def _with_restitution(contact: PlaneContact, known: Mapping[str, float]) -> PlaneContact:
-    """The contact with the known value of its restitution."""
-    law = contact.rebound
-    values = [
-        known[f"{RESTITUTION}.{contact.name}"] if each.kind == RESTITUTION else each.value
-        for each in law.parameters
-    ]
-    return replace(contact, rebound=law.with_values(values)) if values else contact
-
-
-def _checked_contact(i: int, contact: PlaneContact) -> PlaneContact:
-    key = f"contacts[{i}]"
-    normal = finite(f"{key}.normal", contact.normal, (3,), "3 numbers")
-    length = math.sqrt(normal.dot(normal))
-    if abs(length - 1.0) > _UNIT_LENGTH:
-        raise ModelError(f"{key}.normal", f"has the length {length:g}; expected 1")
-    law = contact.rebound.checked(key)
-    offset = float(finite(f"{key}.offset", contact.offset, (), "a number, m"))
-    return PlaneContact(contact.name, contact.frame, frozen(normal / length), offset, law)
-
-
 def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
     """The robot in a model file; ``folder`` is where its other files lie.
 
     Raises:
         ModelError: a value is wrong; the error names the key and the expected value.
     """
-    check_names("joints", model.joints)
     joints, urdf = tuple(model.joints), _urdf(model.urdf, folder)
     forcing = smooth_forcing(model.forcing, joints, folder, one_of_each(joints, urdf))
     return RobotDescription(
@@ -369,7 +341,7 @@ def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
         forces=None if isinstance(model.forces, UnsetType) else (model.forces.topic, "effort"),
         torque_deviation=_torque_deviation(model.torque_deviation, joints, urdf),
         gravity=vector("gravity", model.gravity, 3),
-        forcing=forcing,
+        forcing=forcing.checked(len(joints)),
     )
 
 
@@ -392,7 +364,7 @@ def _of_joints(
             if urdf is not None and name in urdf.movable_beside(joints):
                 wanted += f", or {name} in joints, without which it is held"
             raise ModelError(f"{key}.{name}", f"is none of joints; expected some of {wanted}")
-    return np.array([given.get(name, 0.0) for name in joints])
+    return frozen([given.get(name, 0.0) for name in joints])
 
 
 def _torque_deviation(
@@ -402,10 +374,14 @@ def _torque_deviation(
         return None
     if isinstance(given, Mapping):
         return _of_joints("torque_deviation", given, joints, urdf)
-    return np.full(len(joints), given)
+    return frozen([given] * len(joints))
 
 
 def _read_contact(key: str, contact: RobotContact) -> PlaneContact:
     normal = vector(f"{key}.normal", contact.normal, 3)
+    length = math.sqrt(normal.dot(normal))
+    if abs(length - 1.0) > _UNIT_LENGTH:
+        raise ModelError(f"{key}.normal", f"has the length {length:g}; expected 1")
     law = read_rebound(f"{key}.restitution", contact.restitution)
+    normal = frozen(normal / length)
     return PlaneContact(contact.name, contact.frame, normal, contact.offset, law)

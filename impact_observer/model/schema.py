@@ -288,10 +288,10 @@ class RobotModel(Common, kw_only=True):
     urdf: str | TopicKeys
     joints: tuple[Name, ...]
     held: dict[str, Number] = field(default_factory=dict)
-    damping: dict[str, Known] = field(default_factory=dict)
-    rotor_inertia: dict[str, Known] = field(default_factory=dict)
+    damping: dict[str, NotNegative] = field(default_factory=dict)
+    rotor_inertia: dict[str, NotNegative] = field(default_factory=dict)
     contacts: tuple[RobotContact, ...] = ()
     forces: Effort | UnsetType = UNSET
-    torque_deviation: Number | dict[str, Number] | UnsetType = UNSET
+    torque_deviation: NotNegative | dict[str, NotNegative] | UnsetType = UNSET
     gravity: Row = (0.0, 0.0, -9.81)
     forcing: SmoothForcing = SmoothForcing()
