@@ -7,10 +7,8 @@ functions of the samples alone, not of the order or time of their arrival.
 
 from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from math import isfinite
-from typing import NamedTuple, TypeAlias
+from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,28 +138,38 @@ class LiveSamples(Samples):
             object.__setattr__(self, name, value)
 
 
-@dataclass(slots=True)
 class _Signal:
-    """The samples of one input, by stamp."""
+    """The samples of one live force, constant from each to the next.
 
-    name: str
-    stamps: list[int]
-    values: list[float]
+    Attributes:
+        newest: stamp of the latest sample that was received, ns; 0 before the first.
+        stamps: of the samples that are used, ns, ascending.
+    """
+
+    def __init__(self) -> None:
+        """Begin without any sample."""
+        self.newest, self.stamps, self._values = 0, list[int](), list[float]()
+
+    def insert(self, stamp: int, value: float) -> bool:
+        """Use a sample; return whether it is the first of its ``stamp``."""
+        index = bisect_left(self.stamps, stamp)
+        if self.stamps[index : index + 1] == [stamp]:
+            return False
+        self.stamps.insert(index, stamp)
+        self._values.insert(index, value)
+        return True
 
     def held(self, at: NDArray[np.int64]) -> Vector:
-        """The values of a force just after stamps ``at`` (ns, ascending), shape (samples,)."""
+        """The values just after stamps ``at`` (ns, ascending), shape (samples,)."""
         first = max(bisect_right(self.stamps, int(at[0])) - 1, 0)
         last = bisect_right(self.stamps, int(at[-1]))
         number = np.searchsorted(np.array(self.stamps[first:last], np.int64), at, side="right")
-        return np.asarray(np.array([0.0, *self.values[first:last]])[number])
+        return np.asarray(np.array([0.0, *self._values[first:last]])[number])
 
-
-class _Received(NamedTuple):
-    """A received sample of the signal with the index ``signal``."""
-
-    signal: int
-    stamp: int
-    value: float
+    def forget_before(self, stamp: int) -> None:
+        """Forget the samples before the one that holds at ``stamp``, ns."""
+        gone = max(bisect_right(self.stamps, stamp) - 1, 0)
+        del self.stamps[:gone], self._values[:gone]
 
 
 class LiveSignals:
@@ -183,25 +191,24 @@ class LiveSignals:
         """
         live = system.live
         assert live is not None, "the system has live signals"
-        self.inputs = live.inputs
-        self._signals = [_Signal(name, [], []) for name in live.inputs]
-        self._index = {each.name: k for k, each in enumerate(self._signals)}
-        drives = np.any(live.directions != 0, axis=1)
-        self._held = live.directions.T
-        self._base = system.forcing.sampled
-        self._causal = causal
+        self.inputs, self._directions, self._causal = live.inputs, live.directions, causal
+        self._base, drives = system.forcing.sampled, np.any(live.directions != 0, axis=1)
         self.samples = LiveSamples(self._base, drives, -np.inf if causal else np.inf)
-        self._newest = [0] * len(self._signals)
         self.late = 0
-        self._pending: list[_Received] = []
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._signals = {name: _Signal() for name in self.inputs}
+        self._pending: list[tuple[_Signal, int, float]] = []
         self._epoch: int | None = None
         self._knots: list[int] = []
         self._least = NEVER
 
     @property
     def newest(self) -> list[int]:
-        """Stamp of the latest used sample of each of the ``inputs``, ns; 0 before the first."""
-        return [*self._newest]
+        """Stamp of the latest sample of each of the ``inputs``, ns; 0 before the first."""
+        return [each.newest for each in self._signals.values()]
 
     @property
     def known_until(self) -> int:
@@ -219,26 +226,17 @@ class LiveSignals:
         Returns:
             A sentence why the sample is not used; empty for a used sample.
         """
-        k = self._index.get(name)
-        if k is None:
+        if (signal := self._signals.get(name)) is None:
             known = ", ".join(self.inputs) or "none"
             return f"{name!r} is not known; expected some of {known}"
-        if not (isfinite(value) and abs(value) <= LARGEST):
+        if not abs(value) <= LARGEST:  # false for NaN, too
             return f"{name!r}: {value:g} found; expected a finite number"
-        if self._causal and stamp <= self._newest[k]:
+        if self._causal and stamp <= signal.newest:
             self.late += 1
             return f"{name!r}: its stamp is not after that of the sample before"
-        self._newest[k] = max(self._newest[k], stamp)
-        self._pending.append(_Received(k, stamp, value))
+        signal.newest = max(signal.newest, stamp)
+        self._pending.append((signal, stamp, value))
         return ""
-
-    def clear(self) -> None:
-        """Forget all samples."""
-        for each in self._signals:
-            each.stamps, each.values = [], []
-        self._newest = [0] * len(self._signals)
-        self._pending.clear()
-        self._epoch, self._least = None, NEVER
 
     def follow(self, epoch: int) -> int | None:
         """Use the received samples.
@@ -249,60 +247,43 @@ class LiveSignals:
         Returns:
             The stamp from which on the forces have changed, ns; None without a change.
         """
-        changed = None if epoch == self._epoch else NEVER
-        pending, self._pending = self._pending, []
-        for each in pending:
-            altered = self._inserted(each)
-            if altered is not None:
-                changed = altered if changed is None else min(changed, altered)
-        if changed is not None:
-            self._rebuild(epoch, changed, [each.stamp for each in pending])
-        return changed
-
-    def _inserted(self, sample: _Received) -> int | None:
-        """Insert a sample; return the first stamp of a change, None if the sample is unused."""
-        signal = self._signals[sample.signal]
-        index = bisect_left(signal.stamps, sample.stamp)
-        if sample.stamp <= self._least:
-            self.late += 1
-            return None
-        if index < len(signal.stamps) and signal.stamps[index] == sample.stamp:
-            return None  # the first sample of a stamp counts
-        signal.stamps.insert(index, sample.stamp)
-        signal.values.insert(index, sample.value)
-        return sample.stamp
-
-    def _rebuild(self, epoch: int, changed: int, stamps: Sequence[int]) -> None:
-        """Compute the samples of forces from ``changed`` (ns) on."""
+        pending, self._pending, used = self._pending, [], list[int]()
+        for signal, stamp, value in pending:
+            if stamp <= self._least:
+                self.late += 1
+            elif signal.insert(stamp, value):
+                used.append(stamp)
         if epoch != self._epoch:
             self._epoch, self._knots, start = epoch, self._all_knots(epoch), 0
-        else:  # the last knot before the change
+            changed = NEVER
+        elif used:  # from the last knot before the change on
+            changed = min(used)
             start = max(bisect_right(self._knots, changed) - 1, 0)
-            tail = sorted({*self._knots[start:], *(s for s in stamps if s > self._knots[0])})
-            self._knots[start:] = tail
+            later = {stamp for stamp in used if stamp > self._knots[0]}
+            self._knots[start:] = sorted(later.union(self._knots[start:]))
+        else:
+            return None
         at, first = np.array(self._knots[start:], dtype=np.int64), self.samples.dropped + start
         time: Vector = np.asarray((at - epoch) * _NS)
-        self.samples.change(first, time, self._forces(at, epoch), self._final())
+        final = (self.known_until - epoch) * _NS if self._causal else np.inf
+        self.samples.change(first, time, self._forces(at, time), final)
+        return changed
 
     def _all_knots(self, epoch: int) -> list[int]:
         """Stamps of all samples and the epoch, ns, ascending."""
-        own, first = {stamp for each in self._signals for stamp in each.stamps}, NEVER
+        own, first = {s for each in self._signals.values() for s in each.stamps}, NEVER
         if self._base is not None:
             first, *others = [epoch + round(t / _NS) for t in self._base.time.tolist()]
             own |= set(others)
         return [first, *sorted(stamp for stamp in own if stamp > first)]
 
-    def _final(self) -> float:
-        """The instant before which samples are final, s since the epoch."""
-        assert self._epoch is not None, "followed"
-        return (self.known_until - self._epoch) * _NS if self._causal else np.inf
-
-    def _forces(self, at: NDArray[np.int64], epoch: int) -> NDArray[np.float64]:
-        """Forces on the coordinates and their derivatives at stamps (ns), (4, samples, n)."""
-        total = np.zeros((JETS, at.size, self.samples.drives.size))
+    def _forces(self, at: NDArray[np.int64], time: Vector) -> NDArray[np.float64]:
+        """Forces and their derivatives at stamps (ns), s since the epoch, (4, samples, n)."""
+        total = np.zeros((JETS, at.size, len(self._directions)))
         if self._base is not None:
-            total += self._base.derivatives(np.asarray((at - epoch) * _NS), slack=_NS)
-        total[0] += np.array([each.held(at) for each in self._signals]).T @ self._held
+            total += self._base.derivatives(time, slack=_NS)
+        held = np.array([each.held(at) for each in self._signals.values()])
+        total[0] += held.T @ self._directions.T
         return total
 
     def forget_before(self, stamp: int) -> None:
@@ -313,9 +294,8 @@ class LiveSignals:
         self._least = self._knots[old]
         self.samples.forget(self.samples.dropped + old)
         del self._knots[:old]
-        for each in self._signals:
-            gone = max(bisect_right(each.stamps, self._least) - 1, 0)
-            del each.stamps[:gone], each.values[:gone]
+        for each in self._signals.values():
+            each.forget_before(self._least)
 
 
 def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSignals | None]:
