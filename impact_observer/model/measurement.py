@@ -5,7 +5,7 @@ import dataclasses
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Protocol, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
@@ -13,6 +13,7 @@ from msgspec import UNSET, Meta, UnsetType
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.message_fields import FieldPath, parse_path
 from impact_observer.model.document import Keys, Name, NotNegative, Number, Positive, converted
+from impact_observer.model.multibody import Multibody
 from impact_observer.model.yaml_text import load_yaml
 from impact_observer.resources import read_file_or_sample
 
@@ -26,22 +27,6 @@ Coefficients: TypeAlias = tuple[tuple[str, float], ...]
 """Names of coordinates, each with a number."""
 _Short = Annotated[float, Meta(ge=0.0, le=10.0)]
 """A time, s, up to the longest ``history`` of an observer."""
-
-
-class NamedSystem(Protocol):
-    """Names of a system or a robot."""
-
-    @property
-    def name(self) -> str:
-        """The model's name."""
-
-    @property
-    def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates, as in ``JointState``."""
-
-    @property
-    def contact_names(self) -> tuple[str, ...]:
-        """Names of the contacts."""
 
 
 class _SensorKeys(Keys, frozen=True, kw_only=True):
@@ -195,7 +180,7 @@ class Measurement:
             " are rejected; see docs/nodes.md"
         )
 
-    def check(self, system: NamedSystem) -> None:
+    def check(self, system: Multibody) -> None:
         """Check that the system has the named coordinates and the named contact.
 
         Raises:

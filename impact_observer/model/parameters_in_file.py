@@ -224,19 +224,18 @@ def with_deviations(
             wanted = ", ".join(subject.parameters)
             raise ModelError(keys[name], f"{name!r} is no parameter; expected some of {wanted}")
     else:
-        used = []
-        deviations = np.sqrt(np.diag(covariance)).tolist()
         parameters = _parameters(subject, keys, elements)
-        for i, (each, deviation) in enumerate(zip(parameters, deviations, strict=True)):
-            least, most = each.deviation_range
+        for i, each in enumerate(parameters):
+            deviation, (_, most) = math.sqrt(covariance[i, i]), each.deviation_range
             if deviation > most:
-                key, slope = f"{keys[each.name]}.{_DEVIATION}", slopes[each.name]
+                is_beside, slope = not keys[each.name].startswith(KEY), slopes[each.name]
                 raise ModelError(
-                    f"{KEY}.covariance[{i}][{i}]" if key.startswith(KEY) else key,
+                    f"{keys[each.name]}.deviation" if is_beside else f"{KEY}.covariance[{i}][{i}]",
                     f"{deviation * slope:g} found; expected at most {most * slope:g}: find the"
                     " value with identify",
                 )
-            used.append(deviation >= least)
+        least = [each.deviation_range[0] for each in parameters]
+        used = np.sqrt(np.diag(covariance)) >= least
         covariance = covariance * np.outer(used, used)
     return ParameterUncertainty((*keys,), covariance, known.fitted_to if known else None)
 
