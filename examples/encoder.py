@@ -17,7 +17,7 @@ import numpy as np
 
 from impact_observer import Options, Plant, grid, make_observer, parse_model, simulate
 from impact_observer.events import ImpactEvent
-from impact_observer.model.measurements_file import parse_measurements
+from impact_observer.model.measurement import parse_measurements
 from impact_observer.observer.replay import replay_batches
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import SensorModel, simulate_sensor

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer import Options, grid, make_observer, read_model, simulate
-from impact_observer.model.measurements_file import read_measurements
+from impact_observer.model.measurement import read_measurements
 from impact_observer.observer.replay import replay_batches
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Plant, SensorModel, simulate_sensor

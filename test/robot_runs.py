@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.model import Model, read_model
-from impact_observer.model.measurement import Measurement
-from impact_observer.model.measurements_file import parse_measurements
+from impact_observer.model.measurement import Measurement, parse_measurements
 from impact_observer.model.urdf_file import Urdf
 from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.samples import SensorSample

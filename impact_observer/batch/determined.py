@@ -21,8 +21,7 @@ from impact_observer.draw.reports import ReportLine, counted
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
-from impact_observer.model.contact_errors import ContactErrors
-from impact_observer.model.contact_sensors import NO_SENSORS
+from impact_observer.model.contact_sensors import NO_SENSORS, ContactErrors
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.system import unit_of

@@ -24,11 +24,11 @@ from impact_observer.draw.reports import (
 from impact_observer.errors import UsageError
 from impact_observer.io.bag_part import TimeZero
 from impact_observer.model import ParameterUncertainty, parse_model
-from impact_observer.model.declared_deviations import without_deviations
+from impact_observer.model.fit_verdict import NO_SHIFT, VERDICT, TimeShift
 from impact_observer.model.free_parameters import OFFSET, is_phase
-from impact_observer.model.model_file import VERDICT, ModelText
+from impact_observer.model.model_file import ModelText
 from impact_observer.model.parameter_uncertainty import KEY
-from impact_observer.model.time_shift import NO_SHIFT, TimeShift
+from impact_observer.model.parameters_in_file import without_deviations
 from impact_observer.model.yaml_text import edited, load_yaml
 from impact_observer.output_files import replacing
 from impact_observer.states import Matrix

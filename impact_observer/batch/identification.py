@@ -15,8 +15,7 @@ from impact_observer.batch.sample_rows import flight_samples
 from impact_observer.batch.verdict import FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError, IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.model.contact_errors import ContactErrors
-from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors
+from impact_observer.model.contact_sensors import NO_SENSORS, ContactErrors, ContactSensors
 from impact_observer.model.free_parameters import OFFSET, is_phase, parameters_beside
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from impact_observer.batch.moments import Indices, Moments, MomentSwitching, grouped
 from impact_observer.dynamics.tangent import GuardRows, Maps, Tangent
 from impact_observer.events import Contacts
-from impact_observer.model.contact_errors import ContactErrors
+from impact_observer.model.contact_sensors import ContactErrors
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_observer.model.contact_sensors import KEY as SENSORS
 from impact_observer.model.free_parameters import LATENCY
-from impact_observer.model.parameter_places import Place, parameter_places
+from impact_observer.model.parameters_in_file import Place, parameter_places
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Vector
 

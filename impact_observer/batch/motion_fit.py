@@ -30,7 +30,7 @@ from impact_observer.batch.passes import (
 )
 from impact_observer.batch.sample_rows import FlightSamples, SampleRows, sample_rows
 from impact_observer.dynamics.tangent import Tangent
-from impact_observer.model.contact_errors import ContactErrors
+from impact_observer.model.contact_sensors import ContactErrors
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 

@@ -18,8 +18,7 @@ from impact_observer.batch.smoothed_run import SmoothedRun
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import Model, System
-from impact_observer.model.contact_errors import ContactErrors
-from impact_observer.model.contact_sensors import NO_SENSORS
+from impact_observer.model.contact_sensors import NO_SENSORS, ContactErrors
 from impact_observer.model.free_parameters import OFFSET, parameters_beside, parametric_family
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily

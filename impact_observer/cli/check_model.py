@@ -78,7 +78,7 @@ def _determined(read: "Model", args: argparse.Namespace) -> "Determined":
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import events_in
-    from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.model.measurement import read_measurements
     from impact_observer.observer.uncertainty import deviation_of
 
     system, declared = read.system, read_measurements(args.measurements)

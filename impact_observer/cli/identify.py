@@ -138,7 +138,7 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import epoch_of, text_of_model
     from impact_observer.model import parse_model
-    from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.model.measurement import read_measurements
 
     with BagReader(args.bag) as reader:
         given = text_of_model(reader, args.model)

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.observed_bag import events_from, observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.model.measurement import read_measurements
     from impact_observer.observer import law_named, make_observer
 
     chosen = observer_options(args, args.law)

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     )
     from impact_observer.io.writer import check_free
     from impact_observer.model import read_model
-    from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.model.measurement import read_measurements
     from impact_observer.model.multibody import multibody_of
     from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 

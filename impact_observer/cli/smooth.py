@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.bag_part import read_impacts_part
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.model.measurement import read_measurements
 
     chosen = observer_options(args, LAW)
     with BagReader(args.bag) as reader, Progress() as progress:

@@ -182,7 +182,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
         UsageError, ModelError: an argument cannot be used.
     """
     from impact_observer.model import read_model
-    from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.model.measurement import read_measurements
     from impact_observer.sweep.cases import RANDOM, Sweep, models_of, sensors_of
 
     model = read_model(args.model)

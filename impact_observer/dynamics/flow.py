@@ -38,7 +38,7 @@ from impact_observer.errors import DynamicsError
 from impact_observer.model import Forcing
 from impact_observer.model.angles import Angles
 from impact_observer.model.force_samples import JETS
-from impact_observer.model.live_samples import LiveSamples
+from impact_observer.model.live_signals import LiveSamples
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 

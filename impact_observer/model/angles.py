@@ -26,17 +26,13 @@ class Angles:
 
     Attributes:
         frequency: ``omega``, shape (h,), rad/s.
-        turns: turns in a nanosecond in units of 2^-128, as high and low 64 bits, shape (h, 2).
     """
 
     def __init__(self, frequency: Vector) -> None:
         """Compute the turns in a nanosecond of harmonics of ``frequency``, shape (h,), rad/s."""
         self.frequency = frequency
         turns = [Fraction(omega) / (TURN * NS_PER_S) for omega in frequency.tolist()]
-        parts = [round(each * _UNIT) % _UNIT for each in turns]
-        halves = [divmod(each, 1 << 64) for each in parts]
-        self.turns = np.array(halves, dtype=np.uint64).reshape(-1, 2)
-        self._parts = parts
+        self._parts = [round(each * _UNIT) % _UNIT for each in turns]
 
     def at_stamps(self, ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Angles at instants, less whole turns.

@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is left of the errors of the sensors of single contacts."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
+import numpy as np
+from msgspec import UNSET, Meta, UnsetType
+from numpy.typing import NDArray
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import converted
-from impact_observer.model.schema import SensorKeys
+from impact_observer.model.document import Keys, Share, converted
+from impact_observer.model.free_parameters import LATENCY
+from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.states import Matrix, Vector
 
 KEY = "sensors"
 
 
-@dataclass(frozen=True, slots=True)
-class ContactSensor:
-    """What is left of the errors of a contact's sensor; None for the errors of all contacts.
+class ContactSensor(Keys, frozen=True):
+    """What is left of the errors of a contact's sensor; unset are the errors of all contacts.
 
     Attributes:
         clock_error: standard deviation of the stamps, s.
@@ -24,15 +28,14 @@ class ContactSensor:
         latency: by which the stamps are late, s; negative for early stamps.
     """
 
-    clock_error: float | None = None
-    missed: float | None = None
-    latency: float | None = None
+    clock_error: Share | UnsetType = UNSET
+    missed: Share | UnsetType = UNSET
+    latency: Annotated[float, Meta(ge=-10.0, le=10.0)] | UnsetType = UNSET
 
-    def given(self) -> Iterator[tuple[str, float]]:
-        """The values that are not None, by name."""
-        for each in fields(self):
-            if (value := getattr(self, each.name)) is not None:
-                yield each.name, value
+    def given(self) -> dict[str, float]:
+        """The values that are set, by name."""
+        named = msgspec.structs.asdict(self)
+        return {name: float(value) for name, value in named.items() if value is not UNSET}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +55,13 @@ class ContactSensors:
         """Check all values."""
         for contact, sensor in self.by_contact:
             if sensor is not None:
-                converted(dict(sensor.given()), SensorKeys, f"{KEY}.{contact}")
+                converted(sensor.given(), ContactSensor, f"{KEY}.{contact}")
 
     @property
     def document(self) -> dict[str, object]:
         """The value of the key ``sensors``."""
         return {
-            contact: "none" if sensor is None else dict(sensor.given())
+            contact: "none" if sensor is None else sensor.given()
             for contact, sensor in self.by_contact
         }
 
@@ -68,7 +71,7 @@ NO_SENSORS = ContactSensors()
 
 
 def contact_sensors(
-    sensors: Mapping[str, SensorKeys | Literal["none"]], contacts: Sequence[str]
+    sensors: Mapping[str, ContactSensor | Literal["none"]], contacts: Sequence[str]
 ) -> ContactSensors:
     """The sensors in a model file with these ``contacts``.
 
@@ -80,8 +83,48 @@ def contact_sensors(
             wanted = ", ".join(contacts) or "none, as it has no contacts"
             raise ModelError(f"{KEY}.{name}", f"is no contact; expected one of {wanted}")
     own = {name: sensors[name] for name in contacts if name in sensors}
-    return ContactSensors(tuple((name, _sensor(each)) for name, each in own.items()))
+    return ContactSensors(
+        tuple((name, None if each == "none" else each) for name, each in own.items())
+    )
 
 
-def _sensor(given: SensorKeys | Literal["none"]) -> ContactSensor | None:
-    return None if given == "none" else ContactSensor(**msgspec.to_builtins(given))
+class ContactErrors(NamedTuple):
+    """Errors of the sensors of m contacts, as arrays.
+
+    Attributes:
+        clock: standard deviations of stamps, shape (m,), s; NaN where that of all contacts holds.
+        missed: probabilities that an impact is not detected, shape (m,); 1 without a sensor.
+        latency: by which stamps are late, shape (m,), s.
+    """
+
+    clock: Vector
+    missed: Vector
+    latency: Vector
+
+    @classmethod
+    def of(
+        cls, sensors: ContactSensors, contacts: tuple[str, ...], missed: float
+    ) -> "ContactErrors":
+        """The errors that a model declares; of all other contacts ``missed`` is declared."""
+        m = len(contacts)
+        errors = cls(np.full(m, np.nan), np.full(m, missed), np.zeros(m))
+        parts = {"clock_error": errors.clock, "missed": errors.missed, "latency": errors.latency}
+        for name, sensor in sensors.by_contact:
+            for key, value in ({"missed": 1.0} if sensor is None else sensor.given()).items():
+                parts[key][contacts.index(name)] = value
+        return errors
+
+    @property
+    def has_sensor(self) -> NDArray[np.bool_]:
+        """Which contacts have a sensor, shape (m,)."""
+        return self.missed < 1
+
+    def late(self, family: ParametricFamily, theta: Vector) -> tuple[Vector, Matrix]:
+        """By how much stamps of each contact are late, (m,), and its derivatives, (m, p)."""
+        contacts = family.system.contact_names
+        slopes = np.zeros((len(contacts), family.size))
+        for j, name in enumerate(family.names):
+            kind, _, contact = name.partition(".")
+            if kind == LATENCY:
+                slopes[contacts.index(contact), j] = 1.0
+        return self.latency + slopes @ theta, slopes

@@ -17,7 +17,6 @@ from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import ModelError
-from impact_observer.model.gone_keys import gone
 from impact_observer.states import Vector, frozen
 
 LARGEST = 1e15
@@ -42,6 +41,27 @@ _WORDS: dict[object, str] = {
 }
 _MEMBERS: dict[object, str] = {float: "numbers", str: "names", tuple: "lists of numbers"}
 """What types, and the members of lists, are called in errors."""
+
+_BY_SPEED = "a table of restitutions by speed"
+_DRIVE = "the drive whose index pulses tell a force's phase"
+_OF_CONTACTS = {
+    "contact_time": "the duration of an impact",
+    "velocity_offset": "the speed of a stop that drives what it hits",
+    "restitution.speeds": _BY_SPEED,
+    "restitution.values": _BY_SPEED,
+}
+_GONE = {
+    "friction": "dry friction of guides",
+    "grounds.motion.live": "a ground whose motion arrives live",
+    "forces.order": _DRIVE,
+    "forcing.harmonics.order": _DRIVE,
+    **{f"stops.{key}": purpose for key, purpose in _OF_CONTACTS.items()},
+    **{f"contacts.{key}": purpose for key, purpose in _OF_CONTACTS.items()},
+    "measurements.gain": "the use of samples by laws without covariance",
+    "measurements.deviation: learn": "learn",
+    "unit: deg": "the conversion of degrees",
+}
+"""What version 0.4.0 took out, by its key without indices, or by key and value."""
 
 
 class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -91,11 +111,23 @@ def _explained(message: str, found: Value, kind: object, key: str) -> ModelError
         if what[1] != "unknown":
             return ModelError(key, "is missing")
         known = ", ".join(_alternative(kind, found).__struct_fields__)
-        return ModelError(key, gone(key) or f"is not known here; expected one of {known}")
+        return ModelError(key, _gone(key) or f"is not known here; expected one of {known}")
     if isinstance(found, float | int) and not abs(found) <= LARGEST:
         return ModelError(key, f"{shown(found)} found; expected a number of at most {LARGEST:g}")
-    wanted = gone(key) or gone(key, found)
+    wanted = _gone(key) or _gone(key, found)
     return ModelError(key, wanted or f"{shown(found)} found; expected {_expected(kind)}")
+
+
+def _gone(key: str, value: object = None) -> str:
+    """Why ``key``, such as ``stops[0].gap``, cannot have its ``value``; empty where nothing went.
+
+    Args:
+        key: the key in the file.
+        value: what stands there; None asks for the key alone.
+    """
+    place = re.sub(r"\[\d+\]", "", key)
+    purpose = _GONE.get(place if value is None else f"{place}: {value}")
+    return f"{purpose} went in 0.4.0; impact_observer 0.3.0 has it" if purpose else ""
 
 
 def _alternatives(kind: object) -> tuple[Any, ...]:
@@ -131,7 +163,7 @@ def _fits(value: Value, kind: Any) -> bool:  # noqa: ANN401 (a type, as of a hin
 def _expected(kind: object) -> str:
     """What a value of some ``kind`` is, in words."""
     if get_origin(kind) in (Union, types.UnionType):
-        parts = [each for each in get_args(kind) if each is not msgspec.UnsetType]
+        parts = [each for each in get_args(kind) if each not in (msgspec.UnsetType, type(None))]
         return " or ".join(map(_expected, parts))
     if get_origin(kind) is Annotated:
         plain, meta = get_args(kind)
@@ -175,10 +207,7 @@ def vector(
     """
     if isinstance(values, msgspec.UnsetType):
         return np.zeros(n)
-    if len(values) != n:
-        problem = f"{len(values)} values found; expected a list of {n} numbers{meaning}"
-        raise ModelError(key, problem)
-    return np.array(values)
+    return finite(key, values, (n,), f"a list of {n} numbers{meaning}")
 
 
 def matrix(key: str, rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> Vector:
@@ -197,12 +226,14 @@ def matrix(key: str, rows: Sequence[Sequence[float]], shape: tuple[int, int]) ->
     return np.reshape(np.array(rows, dtype=np.float64), shape)
 
 
-def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Vector:
+def finite(
+    key: str, values: ArrayLike, shape: tuple[int, ...], what: str, largest: float = LARGEST
+) -> Vector:
     """``values`` as a frozen array of ``shape``; ``what`` names the expected value in errors.
 
     Raises:
-        ModelError: ``values`` have another shape, or a value that is no finite number or too
-            large.
+        ModelError: ``values`` have another shape, or a value that is no finite number or larger
+            than ``largest``.
     """
     try:
         array = frozen(values)
@@ -210,13 +241,14 @@ def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Ve
         raise ModelError(key, f"is not made of numbers only; expected {what}") from None
     if array.shape != shape:
         given = " x ".join(map(str, array.shape)) or "a single number"
-        raise ModelError(key, f"has shape {given}; expected {what}")
-    if (np.abs(array) <= LARGEST).all():
+        found = f"{given} values found" if array.ndim == 1 else f"has shape {given}"
+        raise ModelError(key, f"{found}; expected {what}")
+    if (np.abs(array) <= largest).all():
         return array
-    at = np.argwhere(~(np.abs(array) <= LARGEST))[0]
+    at = np.argwhere(~(np.abs(array) <= largest))[0]
     index = "".join(f"[{i}]" for i in at)
     is_finite = math.isfinite(array[tuple(at)])
-    why = f"is too large; expected at most {LARGEST:g}" if is_finite else "is not finite"
+    why = f"is too large; expected at most {largest:g}" if is_finite else "is not finite"
     raise ModelError(f"{key}{index}", why)
 
 

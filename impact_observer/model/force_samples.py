@@ -17,8 +17,6 @@ SHORTEST_STEP = 1e-9
 """Least time between two samples, s: one stamp."""
 _SAME = 1e-14
 """Largest difference of two instants by rounding, s."""
-_JUMP = 1e-9
-"""Largest jump of a force that counts as rounding, relative to the largest force."""
 _SLACK = 1e-9
 """How far before the first sample an instant may lie by rounding, s: one stamp."""
 
@@ -36,7 +34,6 @@ class Samples:
         steps: time between samples, shape (k - 1,), s; exactly equal if all differences are
             rounding. Derived.
         rounding: largest difference of two instants that counts as zero, s. Derived.
-        jumps: whether the force jumps at some sample. Derived.
 
     Raises:
         ModelError: naming the key of the model file and what is wrong with it.
@@ -48,7 +45,6 @@ class Samples:
     jets: NDArray[np.float64] | None = None
     steps: Vector = field(init=False)
     rounding: float = field(init=False)
-    jumps: bool = field(init=False)
 
     def __post_init__(self) -> None:
         """Copy, freeze and check all fields, and derive the others."""
@@ -70,15 +66,12 @@ class Samples:
         elif self.hold == "linear":
             jets[1, :-1] = np.diff(force, axis=0) / steps[:, None]
         jets[0] = force
-        ends = shifted(jets[:, :-1], steps)[0]
-        jump = np.abs(ends - force[1:]).max(initial=0.0)
         derived = {
             "time": time,
             "force": force,
             "jets": frozen(jets),
             "steps": frozen(steps),
             "rounding": min(max(4 * rounding, _SAME), float(np.min(steps)) / 4),
-            "jumps": bool(jump > _JUMP * np.abs(force).max(initial=0.0)),
         }
         for key, value in derived.items():
             object.__setattr__(self, key, value)

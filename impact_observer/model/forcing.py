@@ -59,12 +59,6 @@ class Forcing:
         return float(max([0.0, *self.frequency, *squares]))
 
     @property
-    def jumps(self) -> bool:
-        """Whether ``f`` jumps at some instant."""
-        sampled = self.sampled is not None and self.sampled.jumps
-        return sampled or (self.squares is not None and bool(np.any(self.squares.force)))
-
-    @property
     def end(self) -> float:
         """Instant of the last sample, s since the epoch; infinity without samples."""
         return np.inf if self.sampled is None else self.sampled.end

@@ -6,13 +6,11 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
-from scipy import linalg
 
 from impact_observer.errors import UsageError
-from impact_observer.model.elements import Element
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.rebounds import REBOUND_UNITS
-from impact_observer.model.system import System, unit_of
+from impact_observer.model.system import Element, System, unit_of
 from impact_observer.states import Matrix
 
 OFFSET, LATENCY = "clock-offset", "latency"
@@ -29,28 +27,22 @@ UNITS = {
     "forcing-phase": "rad",
     "forcing-frequency": "rad/s",
     "constant-force": "N",
-    "harmonic-force": "N",
-    "forcing-quadrature": "",
-    "impulse-aside": "",
     "ground-amplitude": "",
     "ground-phase": "rad",
     "ground-frequency": "rad/s",
     OFFSET: "s",
     LATENCY: "s",
-    "contact-time": "s",
 }
 """Kinds of free parameters and their SI units, with coordinates in m; empty for a ratio."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
 """SI units of other learned quantities of an observer; no entry for a ratio."""
 _ONLY_IDENTIFIED = {OFFSET, LATENCY, "ground-amplitude", "ground-phase", "ground-frequency"}
 """Kinds that only ``identify`` learns: an observer takes clock and grounds from the model."""
-STAND_INS = {"contact-time", "harmonic-force", "forcing-quadrature", "impulse-aside"}
-"""Kinds that stand for errors of a model, and are none of a model file."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale; the least value is the inverse."""
 _LONGEST = 0.1
-"""Largest offset of a clock, and largest duration of an impact, s."""
+"""Largest offset of a clock, s."""
 _WRONG_FREQUENCY = 0.1
 """Error that makes a frequency useless, relative to the frequency."""
 
@@ -201,7 +193,7 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
 
 def _of_forcing(system: System) -> Iterator[ModelParameter]:
     """The constant force on each coordinate, and what changes each harmonic."""
-    force, parameter = usual_force(system), partial(_parameter, system)
+    force, parameter = _usual_force(system), partial(_parameter, system)
     for name, value, one in zip(
         system.coordinates, system.forcing.constant.tolist(), np.eye(system.n), strict=True
     ):
@@ -217,47 +209,7 @@ def _of_forcing(system: System) -> Iterator[ModelParameter]:
         yield parameter(own, omega, bounds, _WRONG_FREQUENCY * omega, frequency=one)
 
 
-def forcing_quadratures(system: System) -> Iterator[ModelParameter]:
-    """What is a quarter of a period ahead of each harmonic, relative to the harmonic.
-
-    With the amplitude this makes any phase, linearly: that of a drive, or of a clock that steps.
-    No moving grounds.
-    """
-    forcing, parameter = system.forcing, partial(_parameter, system)
-    for k, one in enumerate(np.eye(forcing.frequency.size)):
-        cosine, sine = one[:, None] * forcing.sine, -one[:, None] * forcing.cosine
-        yield parameter(f"forcing-quadrature.{k + 1}", 0.0, _FREE, 1.0, cosine=cosine, sine=sine)
-
-
-def harmonic_forces(system: System) -> Iterator[ModelParameter]:
-    """A harmonic force of each frequency of the forcing on each coordinate, no moving grounds.
-
-    In cosine and sine: what is wrong with a model in a periodic motion has these frequencies.
-    """
-    force, parameter = usual_force(system), partial(_parameter, system)
-    zero = np.zeros_like(system.forcing.cosine)
-    for k, i in np.ndindex(*zero.shape):
-        for part, word in (("cosine", "cos"), ("sine", "sin")):
-            one = zero.copy()
-            one[k, i] = 1.0
-            name = f"harmonic-force.{system.coordinates[i]}.{word}{k + 1}"
-            yield parameter(name, 0.0, _FREE, force, **{part: one})
-
-
-def impulses_aside(system: System) -> Iterator[ModelParameter]:
-    """Impulses that leave the speed of a contact as it is, over the one that stops the contact.
-
-    Such is that of friction at a stop; the impacts do not see its direction.
-    """
-    parameter = partial(_parameter, system)
-    for i, one in enumerate(np.eye(system.m)):
-        seen = np.linalg.solve(system.M, system.W[:, i])
-        for k, direction in enumerate(linalg.null_space(seen[None]).T, start=1):
-            name = f"impulse-aside.{system.contact_names[i]}.{k}"
-            yield parameter(name, 0.0, _FREE, 1.0, aside=np.outer(one, direction))
-
-
-def usual_force(system: System) -> float:
+def _usual_force(system: System) -> float:
     """The largest force of the forcing, or of springs that reach a stop, N; 1 without any."""
     forcing, W = system.forcing, system.W
     swing = np.sum(np.abs(forcing.cosine) + np.abs(forcing.sine), axis=0)

@@ -1,52 +1,57 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The declaration of a sensor that measures a linear function of the state."""
+"""Sensors that measure a linear function of the state, and the file that declares them."""
 
 import dataclasses
-import math
 import re
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
 
-from impact_observer.errors import UsageError
+import msgspec
+from msgspec import UNSET, Meta, UnsetType
+
+from impact_observer.errors import ModelError, UsageError
 from impact_observer.message_fields import FieldPath, parse_path
-from impact_observer.model.document import LARGEST
+from impact_observer.model.document import Keys, Name, NotNegative, Number, Positive, converted
+from impact_observer.model.multibody import Multibody
+from impact_observer.model.yaml_text import load_yaml
+from impact_observer.resources import read_file_or_sample
 
-POSITION, VELOCITY, ACCELERATION = "position", "velocity", "acceleration"
-KINDS = (POSITION, VELOCITY, ACCELERATION)
-QUANTITIES = (POSITION, VELOCITY)
-STAMPS = ("header", "receive")
-LONGEST = 10.0
-"""Longest delay and blanking that may be declared, s: the longest ``history`` of an observer."""
+KINDS = POSITION, VELOCITY, _ = ("position", "velocity", "acceleration")
+MOST = 1000
+"""Largest number of sensors in a file."""
 _MANY_REJECTED = 0.1
 """Share of rejected samples of a doubtful sensor."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 Coefficients: TypeAlias = tuple[tuple[str, float], ...]
 """Names of coordinates, each with a number."""
-_RANGES = {
-    "deviation": (0.0, LARGEST, "0 (exact), or a positive number"),
-    "offset": (-LARGEST, LARGEST, "a finite number"),
-    "delay": (0.0, LONGEST, f"0 to {LONGEST:g} s"),
-    "blanking": (0.0, LONGEST, f"0 to {LONGEST:g} s"),
-    "gate": (1e-9, 1e9, "a positive number of standard deviations"),
-    "timeout": (1e-9, 1e9, "a positive number of seconds"),
-}
-"""Least and largest value of each number, and the words for the range in errors."""
+_Short = Annotated[float, Meta(ge=0.0, le=10.0)]
+"""A time, s, up to the longest ``history`` of an observer."""
 
 
-class NamedSystem(Protocol):
-    """Names of a system or a robot."""
+class _SensorKeys(Keys, frozen=True, kw_only=True):
+    """The keys of a sensor in a file; what they mean says ``Measurement``."""
 
-    @property
-    def name(self) -> str:
-        """The model's name."""
+    name: Name
+    topic: Name
+    joint: Name = ""
+    quantity: Name = ""
+    field: Name = ""
+    position: dict[str, Number] | UnsetType = UNSET
+    velocity: dict[str, Number] | UnsetType = UNSET
+    acceleration: dict[str, Number] | UnsetType = UNSET
+    gap: Name = ""
+    offset: Number = 0.0
+    deviation: NotNegative
+    delay: _Short = 0.0
+    blanking: _Short = 0.0
+    gate: Positive = 5.0
+    timeout: Positive = 1.0
+    stamp: Literal["header", "receive"] | None = None
 
-    @property
-    def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates, as in ``JointState``."""
 
-    @property
-    def contact_names(self) -> tuple[str, ...]:
-        """Names of the contacts."""
+class _SensorFile(Keys, frozen=True, kw_only=True):
+    measurements: Annotated[tuple[_SensorKeys, ...], Meta(min_length=1, max_length=MOST)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,18 +99,22 @@ class Measurement:
 
     def __post_init__(self) -> None:
         """Check all fields that do not depend on the system."""
-        for key in ("name", "topic"):
-            if not getattr(self, key):
-                raise self.wrong(key, "is missing; expected a name")
+        given = {
+            each.name: getattr(self, each.name)
+            for each in dataclasses.fields(self)
+            if each.name != "origin" and getattr(self, each.name) != each.default
+        }
+        given |= {kind: dict(given[kind]) for kind in KINDS if kind in given}
+        try:
+            converted(given, _SensorKeys)
+        except ModelError as error:
+            raise self.wrong(error.key, error.problem) from None
         if not _TOPIC.fullmatch(self.topic):
             raise self.wrong(
                 "topic", f"{self.topic!r} found; expected a name such as /rig/encoder"
             )
         self._check_source()
         self._check_function()
-        self._check_numbers()
-        if self.stamp is not None and self.stamp not in STAMPS:
-            raise self.wrong("stamp", f"{self.stamp!r} found; expected one of {', '.join(STAMPS)}")
 
     @property
     def encoded(self) -> tuple[str, float] | None:
@@ -121,9 +130,9 @@ class Measurement:
             raise self.wrong("field", f"{pair} found; expected one of them")
         if self.field and self.quantity:
             raise self.wrong("quantity", "does not go with field; leave it out")
-        if self.joint and self.quantity not in QUANTITIES:
-            wanted = " or ".join(QUANTITIES)
-            raise self.wrong("quantity", f"{self.quantity or 'nothing'} found; expected {wanted}")
+        if self.joint and self.quantity not in (POSITION, VELOCITY):
+            found = self.quantity or "nothing"
+            raise self.wrong("quantity", f"{found} found; expected {POSITION} or {VELOCITY}")
         if self.field:
             self.path()
 
@@ -139,16 +148,8 @@ class Measurement:
             raise self.wrong(given[0] if given else POSITION, f"{kinds} found; {wanted}")
         for kind in KINDS:
             for coordinate, value in getattr(self, kind):
-                if not (math.isfinite(value) and 0 < abs(value) <= LARGEST):
-                    problem = f"{value:g} found; expected a finite number other than 0"
-                    raise self.wrong(f"{kind}.{coordinate}", problem)
-
-    def _check_numbers(self) -> None:
-        """Raise UsageError if a number is out of range."""
-        for key, (low, high, wanted) in _RANGES.items():
-            value = getattr(self, key)
-            if not low <= value <= high:
-                raise self.wrong(key, f"{value:g} found; expected {wanted}")
+                if not value:
+                    raise self.wrong(f"{kind}.{coordinate}", "0 found; expected another number")
 
     def wrong(self, key: str, problem: str) -> UsageError:
         """The error that names the file, the ``key`` and the ``problem``."""
@@ -179,7 +180,7 @@ class Measurement:
             " are rejected; see docs/nodes.md"
         )
 
-    def check(self, system: NamedSystem) -> None:
+    def check(self, system: Multibody) -> None:
         """Check that the system has the named coordinates and the named contact.
 
         Raises:
@@ -198,3 +199,38 @@ class Measurement:
             names = ", ".join(system.contact_names) or "none, as it has no contacts"
             problem = f"{self.gap!r} is no contact of {system.name}; expected one of {names}"
             raise self.wrong("gap", problem)
+
+
+def read_measurements(path: str | Path | None) -> tuple[Measurement, ...]:
+    """The sensors in a file, or in a sample file by its name, such as ``encoder``.
+
+    Without a ``path`` (None or empty) the result has no sensors.
+
+    Raises:
+        UsageError: one line that names the file, the key and the expected value.
+    """
+    if not path:
+        return ()
+    wanted = "a file of measurements, or a sample"
+    file, text = read_file_or_sample(path, "config/measurements", wanted)
+    return parse_measurements(text, str(file))
+
+
+def parse_measurements(text: str, source: str) -> tuple[Measurement, ...]:
+    """The sensors in the ``text`` of a file; ``source`` is the name of the file in errors.
+
+    Raises:
+        UsageError: one line that names the source, the key and the expected value.
+    """
+    try:
+        given = converted(load_yaml(text), _SensorFile).measurements
+    except ModelError as error:
+        raise UsageError(f"{source}: {error}") from None
+    sensors = []
+    for i, each in enumerate(given):
+        keys = msgspec.structs.asdict(each)
+        keys |= {kind: tuple((keys[kind] or {}).items()) for kind in KINDS}
+        sensors.append(Measurement(**keys, origin=f"{source}: measurements[{i}]."))
+        if each.name in [other.name for other in given[:i]]:
+            raise sensors[i].wrong("name", f"{each.name!r} is taken already; names must differ")
+    return tuple(sensors)

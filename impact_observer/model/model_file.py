@@ -1,64 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model file: a linear system or a robot, and the initial state of the plant."""
+"""A model file: a linear system or a robot, and the initial state of the plant.
+
+Reading takes a few steps: the YAML (``yaml_text``), deviations set apart (``parameters_in_file``),
+keys and values (``schema``), and the system (``linear_model``, or ``robot_description``).
+"""
 
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec import UnsetType
 
-from impact_observer.errors import ModelError, NotLinearError
+from impact_observer.errors import ModelError, NotLinearError, UsageError
 from impact_observer.model.contact_sensors import KEY as SENSORS
 from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors, contact_sensors
-from impact_observer.model.declared_deviations import (
+from impact_observer.model.document import Value, converted, finite
+from impact_observer.model.fit_verdict import TimeShift, WrittenVerdict, verdict_keys
+from impact_observer.model.free_parameters import is_observed
+from impact_observer.model.linear_model import (
+    matrices_of,
+    matrix_form,
+    system_of,
+    written_samples,
+)
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
+from impact_observer.model.parameters_in_file import (
     PlainDocument,
     with_deviations,
-    with_robot_deviations,
     without_deviations,
 )
-from impact_observer.model.document import (
-    Keys,
-    NotNegative,
-    Positive,
-    Value,
-    converted,
-    vector,
-)
-from impact_observer.model.elements import Element, assembled_system
-from impact_observer.model.free_parameters import is_observed
-from impact_observer.model.matrices import matrix_form, system_of_matrices
-from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
-from impact_observer.model.robot_description import RobotDescription, one_of_each
-from impact_observer.model.robot_file import read_robot
-from impact_observer.model.sampled_files import written_samples
+from impact_observer.model.robot_description import RobotDescription, one_of_each, read_robot
 from impact_observer.model.schema import Common, ElementModel, MatrixModel, RobotModel, State
-from impact_observer.model.system import (
-    LARGEST_STATE,
-    UNITS,
-    UNKNOWN_UNIT,
-    System,
-)
-from impact_observer.model.time_shift import NO_SHIFT, TimeShift
+from impact_observer.model.system import LARGEST_STATE, UNITS, UNKNOWN_UNIT, Element, System
 from impact_observer.model.yaml_text import load_yaml, yaml_text
 from impact_observer.resources import read_file_or_sample
-from impact_observer.states import Vector, frozen
-
-VERDICT = FITS, RESIDUAL, SHIFT, INTERVAL = ("fits", "residual", "shift", "interval")
-"""Keys of the provenance by which ``identify`` says whether a model fits, and what is left: the
-rms of the shifts, s, and where these are no errors of the clock a ``TimeShift``.
-"""
-
-
-class _Verdict(Keys, frozen=True):
-    """The verdict of ``identify`` in a provenance."""
-
-    fits: bool = True
-    residual: NotNegative = 0.0
-    shift: NotNegative = NO_SHIFT.largest
-    interval: Positive = NO_SHIFT.interval
+from impact_observer.states import Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +52,8 @@ class Model:
             dynamics.
         source: name of the file in errors.
         elements: the elements of the system; empty for a file with matrices.
-        element_form: the bodies, springs and so on of the file, by key; empty for a file with
-            matrices.
+        form: the keys of the file for elements or a robot itself, with what other files hold;
+            empty for a file with matrices.
         uncertainty: how well the parameters are known; None if the file says nothing.
         robot: the robot; None for a linear system.
         sensors: errors of the sensors of single contacts.
@@ -86,7 +65,7 @@ class Model:
     provenance: Mapping[str, Value] = field(default_factory=dict)
     source: str = ""
     elements: tuple[Element, ...] = ()
-    element_form: Mapping[str, Value] = field(default_factory=dict)
+    form: Mapping[str, Value] = field(default_factory=dict)
     uncertainty: ParameterUncertainty | None = None
     robot: RobotDescription | None = None
     sensors: ContactSensors = NO_SENSORS
@@ -121,15 +100,15 @@ class Model:
     @property
     def misfit(self) -> str:
         """The warning that the model does not fit its impacts; empty if ``identify`` said none."""
-        if self.provenance.get(FITS, True):
+        verdict = WrittenVerdict.of(self.provenance)
+        if verdict.fits:
             return ""
         name = f"{self.source or self.subject.name} does not fit the impacts"
-        if RESIDUAL not in self.provenance:
+        if not verdict.residual:
             return f"{name} to which it was fitted: no motion explains these; see docs/troubles.md"
-        left = _verdict(self.provenance).residual
         return (
-            f"{name} from which it was identified: shifts of {left:.2g} s rms are left, and"
-            f" deviations contain one of {self.shift.largest:.2g} s; see docs/troubles.md"
+            f"{name} from which it was identified: shifts of {verdict.residual:.2g} s rms are"
+            f" left, and deviations contain one of {verdict.shift:.2g} s; see docs/troubles.md"
         )
 
     @property
@@ -150,8 +129,7 @@ class Model:
     @property
     def shift(self) -> TimeShift:
         """By how much the motion may be early or late, as the fit of the model has shown."""
-        verdict = _verdict(self.provenance)
-        return TimeShift(verdict.shift, verdict.interval)
+        return WrittenVerdict.of(self.provenance).time_shift
 
     def initial_state(self) -> tuple[Vector, Vector]:
         """The plant's state at the epoch.
@@ -166,6 +144,15 @@ class Model:
             raise ModelError(key, f"is missing; a plant needs one, such as {form}")
         return self.position, self.velocity
 
+    def with_urdf(self, text: str) -> "Model":
+        """The model of a robot with the ``text`` of the URDF that came from its topic.
+
+        Raises:
+            ModelError: the URDF does not fit the model file.
+        """
+        assert self.robot is not None, "the model is a robot"
+        return replace(self, robot=self.robot.with_urdf(text), form={**self.form, "urdf": text})
+
     def text(self, provenance: Mapping[str, Value] | None = None) -> str:
         """The text of a model file of this model, with elements or with matrices as read.
 
@@ -173,8 +160,8 @@ class Model:
         text. ``provenance`` is the origin of the text, such as package, version and seed; a
         verdict of ``identify`` on the model is kept beside it.
         """
-        document = self._form() if self.robot is None else dict(self.robot.document)
-        document = {"name": self.subject.name, **document}
+        form = matrix_form(self.system) if self.robot is None and not self.form else self.form
+        document: dict[str, Value] = {"name": self.subject.name, **form}
         if self.position is not None and self.velocity is not None:
             document["initial_state"] = {
                 "position": self.position.tolist(),
@@ -184,25 +171,9 @@ class Model:
             document["uncertainty"] = self.uncertainty.document
         if self.sensors.by_contact:
             document[SENSORS] = self.sensors.document
-        if provenance or self.provenance:
-            own = VERDICT if FITS in self.provenance else ()
-            verdict = {key: self.provenance[key] for key in own if key in self.provenance}
-            document["provenance"] = {**(provenance or self.provenance), **verdict}
+        if origin := provenance or self.provenance:
+            document["provenance"] = {**origin, **verdict_keys(self.provenance)}
         return yaml_text(document)
-
-    def _form(self) -> dict[str, Value]:
-        """The keys of a linear system."""
-        form = dict(self.element_form or matrix_form(self.system))
-        if self.system.unit != _unit_of(elements=bool(self.element_form)):
-            form["unit"] = self.system.unit
-        if self.element_form and self.system.frame is not None:
-            form["grounds"] = list(self.system.frame.grounds.written)
-        return form
-
-
-def _unit_of(*, elements: bool) -> str:
-    """The unit of coordinates for a file of this form without the key ``unit``."""
-    return UNITS[0] if elements else UNKNOWN_UNIT
 
 
 class ModelText(NamedTuple):
@@ -245,6 +216,33 @@ def read_model(source: str | Path) -> Model:
     return parse_model(*model_text(source))
 
 
+ModelSource: TypeAlias = Model | System | str | Path
+"""A model, a bare system, or the path of a model file or the name of a sample model."""
+
+
+def model_of(source: ModelSource, asking: str) -> Model:
+    """The model that ``source`` is or names; errors begin with ``asking``, who wants the model.
+
+    Raises:
+        ModelError: one line that names the file, the key and the expected value.
+        UsageError: ``source`` is something else, or the file does not exist.
+    """
+    if isinstance(source, Model):
+        return source
+    if isinstance(source, System):
+        return Model(source)
+    if isinstance(source, str) and "\n" in source:
+        raise UsageError(
+            f"{asking}: a text of several lines found; expected parse_model(TEXT, NAME)"
+        )
+    if isinstance(source, (str, Path)):
+        return read_model(source)
+    raise UsageError(
+        f"{asking}: {type(source).__name__} found; expected a Model, a System, or the path of a"
+        " model file"
+    )
+
+
 def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
     """Read a model from its ``text``; the arguments are those of ``ModelText``.
 
@@ -254,79 +252,82 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
     try:
         if (count := len(_MASSES.findall(text))) > _MOST_BODIES:
             raise ModelError("bodies", f"{count} found; expected at most {_MOST_BODIES}")
-        return replace(_model(load_yaml(text), folder), source=source)
+        document = load_yaml(text)
+        if not isinstance(document, Mapping):
+            raise ModelError("", "is not a model: expected a YAML mapping with name, bodies, ...")
+        plain = without_deviations(document)
+        read = _read_robot if "urdf" in document else _read_linear
+        return replace(read(plain, folder), source=source)
     except ModelError as error:
         raise error.in_file(source) from None
 
 
-def _model(document: Value, folder: Path | None) -> Model:
-    if not isinstance(document, Mapping):
-        raise ModelError("", "is not a model: expected a YAML mapping with name, bodies, ...")
-    plain = without_deviations(document)
-    if "urdf" in document:
-        return _robot_model(plain, folder)
-    kind: type[ElementModel | MatrixModel] = ElementModel if "bodies" in document else MatrixModel
-    other = MatrixModel if "bodies" in document else ElementModel
+_IN_BOTH = {*ElementModel.__struct_fields__} & {*MatrixModel.__struct_fields__}
+"""Keys of linear models of both forms."""
+
+
+def _read_linear(plain: PlainDocument, folder: Path | None) -> Model:
+    """A model with elements or matrices."""
+    document, elements = plain.document, tuple[Element, ...]()
+    is_of_elements, form = "bodies" in document, dict[str, Any]()
+    other = MatrixModel if is_of_elements else ElementModel
     for key in document:
-        if key in other.__struct_fields__ and key not in kind.__struct_fields__:
+        if key in other.__struct_fields__ and key not in _IN_BOTH:
             raise ModelError(str(key), "does not go with the other keys: matrices or elements")
-    given = converted(plain.document, kind)
-    parts: tuple[Element, ...] = ()
-    form: dict[str, Value] = {}
-    if isinstance(given, ElementModel):
-        system, parts = assembled_system(given, folder)
-        form = _own_keys(plain.document)
-        if not isinstance(given.forcing, UnsetType):
+    given: ElementModel | MatrixModel
+    if is_of_elements:
+        given = converted(document, ElementModel)
+        matrices, elements = matrices_of(given)
+        try:
+            system = system_of(matrices, folder)
+        except ModelError as error:
+            raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
+        form = _own_keys(document)
+        if system.own_forcing.sampled is not None:
             form["forcing"] = written_samples(system.own_forcing.sampled, system.coordinates)
+        if system.frame is not None:
+            form["grounds"] = list(system.frame.grounds.written)
     else:
-        system = system_of_matrices(given, folder)
-    unit = _unit_of(elements=bool(form)) if isinstance(given.unit, UnsetType) else given.unit
-    system = replace(system, unit=unit)
-    uncertainty = with_deviations(read_uncertainty(given.uncertainty), plain, system, parts)
+        given = converted(document, MatrixModel)
+        system = system_of(given, folder)
+    usual = UNITS[0] if is_of_elements else UNKNOWN_UNIT
+    system = replace(system, unit=usual if isinstance(given.unit, UnsetType) else given.unit)
+    WrittenVerdict.of(given.provenance)
     return Model(
         system,
         *_start(given.initial_state, system),
-        _provenance(given.provenance),
-        elements=parts,
-        element_form=form,
-        uncertainty=uncertainty,
+        given.provenance,
+        elements=elements,
+        form=form,
+        uncertainty=with_deviations(read_uncertainty(given.uncertainty), plain, system, elements),
         sensors=contact_sensors(given.sensors, system.contact_names),
     )
 
 
-def _robot_model(plain: PlainDocument, folder: Path | None) -> Model:
+def _read_robot(plain: PlainDocument, folder: Path | None) -> Model:
     """A model with the key ``urdf``."""
-    given = converted(plain.document, RobotModel)
-    robot = read_robot(given, _own_keys(plain.document), folder)
-    meaning = one_of_each(robot.joints, robot.urdf)
+    model, form = converted(plain.document, RobotModel), _own_keys(plain.document)
+    robot = read_robot(model, folder)
+    if robot.urdf is not None:
+        form["urdf"] = robot.urdf.text
+    if robot.forcing.sampled is not None:
+        samples = written_samples(robot.forcing.sampled, robot.joints)
+        form["forcing"] = {**form["forcing"], **samples}
+    WrittenVerdict.of(model.provenance)
     return Model(
         None,
-        *_state(given.initial_state, robot.n, meaning),
-        _provenance(given.provenance),
-        uncertainty=with_robot_deviations(read_uncertainty(given.uncertainty), plain, robot),
+        *_state(model.initial_state, robot.n, one_of_each(robot.joints, robot.urdf)),
+        model.provenance,
+        form=form,
+        uncertainty=with_deviations(read_uncertainty(model.uncertainty), plain, robot, ()),
         robot=robot,
-        sensors=contact_sensors(given.sensors, robot.contact_names),
+        sensors=contact_sensors(model.sensors, robot.contact_names),
     )
 
 
-def _own_keys(document: Mapping[str, Value]) -> dict[str, Value]:
-    """The keys of the system itself, without grounds, as they stand in a file."""
-    beside = (*Common.__struct_fields__, "unit", "grounds")
-    return {key: value for key, value in document.items() if key not in beside}
-
-
-def _provenance(given: Mapping[str, Value]) -> Mapping[str, Value]:
-    """The provenance, of which a verdict is checked."""
-    _verdict(given)
-    return given
-
-
-def _verdict(provenance: Mapping[str, Value]) -> _Verdict:
-    """The verdict of ``identify`` in a provenance; without ``fits`` no key is one of a verdict."""
-    if FITS not in provenance:
-        return _Verdict()
-    own = {key: provenance[key] for key in VERDICT if key in provenance}
-    return converted(own, _Verdict, "provenance")
+def _own_keys(document: Mapping[str, Value]) -> dict[str, Any]:
+    """The keys of the system or the robot itself, as they stand in a file."""
+    return {k: value for k, value in document.items() if k not in Common.__struct_fields__}
 
 
 def _state(
@@ -335,16 +336,11 @@ def _state(
     """Positions and velocities at the epoch of ``n`` coordinates, shape (n,) each, if any."""
     if isinstance(given, UnsetType):
         return None, None
-    position, velocity = (
-        frozen(vector(f"initial_state.{name}", getattr(given, name), n, meaning))
-        for name in ("position", "velocity")
+    wanted = f"a list of {n} numbers{meaning}"
+    return (
+        finite("initial_state.position", given.position, (n,), wanted, LARGEST_STATE),
+        finite("initial_state.velocity", given.velocity, (n,), wanted, LARGEST_STATE),
     )
-    for name, values in (("position", position), ("velocity", velocity)):
-        for i in np.flatnonzero(np.abs(values) > LARGEST_STATE):
-            raise ModelError(
-                f"initial_state.{name}[{i}]", f"is too large; expected at most {LARGEST_STATE:g}"
-            )
-    return position, velocity
 
 
 def _start(given: State | UnsetType, system: System) -> tuple[Vector | None, Vector | None]:

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import LiveNames
-from impact_observer.model.measurement import NamedSystem
 from impact_observer.model.model_file import Model
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import System
@@ -26,11 +25,23 @@ _MADE_BY = {"RobotDescription": "impact_observer.robots"}
 makes its system, and ``report`` what ``check-model`` says of it."""
 
 
-class Multibody(NamedSystem, Protocol):
+class Multibody(Protocol):
     """Names, sizes and contacts of a system with n coordinates and m contacts.
 
     States are (q, u), shape (2n,) or (samples, 2n).
     """
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates, as in ``JointState``."""
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Names of the contacts."""
 
     @property
     def n(self) -> int:

@@ -14,8 +14,8 @@ from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import Contact, System
 from impact_observer.states import Matrix, Vector, frozen
 
-_OF_FORCING = {"amplitude", "phase", "frequency", "constant", "cosine", "sine"}
-"""Coefficients on which the forcing depends."""
+_OF_MOTION = ("M", "C", "K", "amplitude", "phase", "frequency", "constant")
+"""Coefficients on which the motion between impacts depends."""
 _DEVIATION_RANGE = (1e-12, 1.0)
 """Least and largest standard deviation of a parameter, relative to its size."""
 _GAP_FACTOR = 100.0
@@ -37,12 +37,6 @@ class Coefficients:
         phase: lead of the harmonics over those of the model, shape (h,), rad.
         frequency: angular frequencies of the harmonics, shape (h,), rad/s.
         constant: constant force, shape (n,), N.
-        cosine: cosines at the frequencies of the harmonics beside these, shape (h, n), N.
-        sine: sines at the frequencies of the harmonics beside these, shape (h, n), N.
-        contact_time: duration of an impact, shape (m,), s; zero in a model. Velocities jump half
-            of it after the gap is zero.
-        aside: impulse beside that of a contact, one row a contact, over the one that stops the
-            contact, shape (m, n); zero in a model.
     """
 
     M: Matrix
@@ -54,24 +48,18 @@ class Coefficients:
     phase: Vector
     frequency: Vector
     constant: Vector
-    cosine: Matrix
-    sine: Matrix
-    contact_time: Vector
-    aside: Matrix
 
     @classmethod
     def of_system(cls, system: System) -> "Coefficients":
         """The coefficients of ``system``."""
-        given, count = system.forcing, system.forcing.frequency.size
-        beside = np.zeros_like(given.cosine)
-        forces = given.frequency, given.constant, beside, beside
-        harmonics = np.ones(count), np.zeros(count), *forces
+        forcing, count = system.forcing, system.forcing.frequency.size
         numbers = [[each.value for each in law.parameters] for law in system.rebounds]
         rebound = np.zeros((system.m, max((1, *map(len, numbers)))))
         for row, own in zip(rebound, numbers, strict=True):
             row[: len(own)] = own
-        last = np.zeros(system.m), np.zeros((system.m, system.n))
-        return cls(system.M, system.C, system.K, system.q_r, rebound, *harmonics, *last)
+        harmonics = np.ones(count), np.zeros(count), forcing.frequency
+        matrices = system.M, system.C, system.K
+        return cls(*matrices, system.q_r, rebound, *harmonics, forcing.constant)
 
     @property
     def parts(self) -> dict[str, Matrix]:
@@ -82,24 +70,14 @@ class Coefficients:
     @classmethod
     def change(cls, system: System, **parts: Matrix) -> "Coefficients":
         """A change of the coefficients ``parts``, by name; all other changes are zero."""
-        zero = {
-            name: np.zeros_like(getattr(cls.of_system(system), name)) for name in cls.__slots__
-        }
+        given = cls.of_system(system)
+        zero = {name: np.zeros_like(getattr(given, name)) for name in cls.__slots__}
         return cls(**{**zero, **parts})
-
-    @property
-    def eps(self) -> Vector:
-        """The coefficients of restitution of plain contacts, shape (m,)."""
-        return self.rebound[:, 0]
-
-    def law(self, system: System, contact: int) -> ReboundLaw:
-        """How a contact of a ``system`` of the family rebounds."""
-        given = system.rebounds[contact]
-        return given.with_values(self.rebound[contact, : len(given.units)].tolist())
 
     def laws(self, system: System) -> tuple[ReboundLaw, ...]:
         """How all contacts of a ``system`` of the family rebound."""
-        return tuple(self.law(system, i) for i in range(system.m))
+        rows = zip(system.rebounds, self.rebound.tolist(), strict=True)
+        return tuple(law.with_values(row[: len(law.units)]) for law, row in rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,8 +105,7 @@ class ModelParameter:
     @property
     def moves(self) -> bool:
         """Whether the motion between impacts depends on the parameter."""
-        motion = {"M", "C", "K"} | _OF_FORCING
-        return not motion.isdisjoint(self.effect.parts)
+        return not self.effect.parts.keys().isdisjoint(_OF_MOTION)
 
     @property
     def deviation_range(self) -> tuple[float, float]:
@@ -225,8 +202,7 @@ class ParametricFamily:
         for j, effect in enumerate(each.effect for each in self.parameters):
             ahead = 1j * effect.phase[:, None] * given + effect.frequency[:, None] * by_frequency
             changes[j] = effect.amplitude[:, None] * turn * given + factor * ahead
-            changes[j] += effect.cosine - 1j * effect.sine
-        return factor * given + coefficients.cosine - 1j * coefficients.sine, changes
+        return factor * given, changes
 
     def system_at(self, values: Vector) -> System:
         """The system for parameter ``values``, shape (p,).
@@ -269,17 +245,10 @@ class ParametricFamily:
             "M": coefficients.M,
             "C": coefficients.C,
             "K": coefficients.K,
-            "forcing": self._with_beside(_turned(forcing, amplitude, phase), coefficients),
+            "forcing": _turned(forcing, amplitude, phase),
             "contacts": contacts,
             "frame": frame,
         }
-
-    def _with_beside(self, forcing: Forcing, coefficients: Coefficients) -> Forcing:
-        """The ``forcing`` and the harmonic forces beside it."""
-        if not (np.any(coefficients.cosine) or np.any(coefficients.sine)):
-            return forcing
-        cosine, sine = forcing.cosine + coefficients.cosine, forcing.sine + coefficients.sine
-        return replace(forcing, cosine=cosine, sine=sine)
 
     def _unturned(self, coefficients: Coefficients) -> tuple[Forcing, MovingFrame | None]:
         """The forcing and the moving frame with these constants and frequencies.

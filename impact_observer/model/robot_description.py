@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot as a model file declares it: a URDF, its joints and its contacts with fixed planes."""
+"""A robot in a model file: a URDF, its joints and its contacts with fixed planes."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-import numpy as np
+from msgspec import UnsetType
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import Value, check_names, finite
+from impact_observer.model.document import check_names, vector
+from impact_observer.model.files_beside import file_beside
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.model.linear_model import smooth_forcing
+from impact_observer.model.rebounds import ReboundLaw, read_rebound
+from impact_observer.model.schema import RobotContact, RobotModel, TopicKeys
 from impact_observer.model.system import unit_of
 from impact_observer.model.urdf_file import FIXED, UNITS_BY_TYPE, Urdf, UrdfJoint
+from impact_observer.resources import read_text
 from impact_observer.states import Vector, frozen
 
 _UNIT_LENGTH = 1e-6
@@ -61,7 +66,6 @@ class RobotDescription:
             efforts which are held from sample to sample.
         gravity: in the root frame, shape (3,), m/s^2.
         forcing: torques and forces of the plant's drives, N m or N.
-        document: the keys of the model file from which this was read, for its text.
 
     Raises:
         ModelError: a value is wrong; the error names the key of the model file.
@@ -70,37 +74,20 @@ class RobotDescription:
     name: str
     joints: tuple[str, ...]
     urdf: Urdf | None
-    topic: str = ""
-    held: Mapping[str, float] = field(default_factory=dict)
-    own_damping: Vector = field(default_factory=lambda: np.zeros(0))
-    rotor_inertia: Vector = field(default_factory=lambda: np.zeros(0))
-    contacts: tuple[PlaneContact, ...] = ()
-    forces: tuple[str, str] | None = None
-    torque_deviation: Vector | None = None
-    gravity: Vector = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
-    forcing: Forcing = field(default_factory=lambda: Forcing.none(0))
-    document: Mapping[str, Value] = field(default_factory=dict)
+    topic: str
+    held: Mapping[str, float]
+    own_damping: Vector
+    rotor_inertia: Vector
+    contacts: tuple[PlaneContact, ...]
+    forces: tuple[str, str] | None
+    torque_deviation: Vector | None
+    gravity: Vector
+    forcing: Forcing
 
     def __post_init__(self) -> None:
-        """Copy, freeze and check all fields; vectors that are empty are zero."""
+        """Check names, and that the URDF has what they name."""
         check_names("joints", self.joints, "names of joints of the URDF")
-        check_names("contacts", [each.name for each in self.contacts])
-        n = self.n
-        for name in ("own_damping", "rotor_inertia", "torque_deviation"):
-            key = "damping" if name == "own_damping" else name
-            given = getattr(self, name)
-            if given is None:
-                continue
-            values = finite(key, given if np.size(given) else np.zeros(n), (n,), f"{n} numbers")
-            for i in np.flatnonzero(values < 0).tolist():
-                problem = f"is {values[i]:g}; expected a number not below zero"
-                raise ModelError(f"{key}.{self.joints[i]}", problem)
-            object.__setattr__(self, name, values)
-        object.__setattr__(self, "gravity", finite("gravity", self.gravity, (3,), "3 numbers"))
-        contacts = tuple(_checked_contact(i, each) for i, each in enumerate(self.contacts))
-        object.__setattr__(self, "contacts", contacts)
-        forcing = self.forcing if self.forcing.constant.size else Forcing.none(n)
-        object.__setattr__(self, "forcing", forcing.checked(n))
+        check_names("contacts", self.contact_names)
         if self.urdf is not None:
             self._check_joints(self.urdf)
             for i, each in enumerate(self.contacts):
@@ -167,36 +154,27 @@ class RobotDescription:
         return "; ".join(words)
 
     @property
-    def unknown_torques(self) -> str:
-        """A warning of torques that an observer does not know, or trusts too much; else empty."""
-        given = self.torque_deviation
+    def torque_remarks(self) -> tuple[tuple[str, str], ...]:
+        """Kinds (warning, note) and texts of what an observer does not know of torques."""
         if self.forces is None:
-            return (
+            problem = (
                 "the model has no forces, so its torques count as zero, and encoders of a driven"
                 " robot seem to err: give forces: {topic: /joint_states, field: effort}"
             )
-        if given is None or given.any():
-            return ""
-        return (
+            return (("warning", problem),)
+        if self.torque_deviation is None:
+            note = (
+                "the model has no torque_deviation: that of changes of efforts from sample to"
+                " sample is used, which covers no errors of masses"
+            )
+            return (("note", note),)
+        if self.torque_deviation.any():
+            return ()
+        problem = (
             "the model has a torque_deviation of zero: its torques and efforts count as exact, so"
             " deviations are too small; leave it out for that of efforts between samples"
         )
-
-    @property
-    def default_deviation(self) -> str:
-        """What an observer uses where the model has no ``torque_deviation``; else empty."""
-        if self.torque_deviation is not None or self.forces is None:
-            return ""
-        return (
-            "the model has no torque_deviation: that of changes of efforts from sample to sample"
-            " is used, which covers no errors of masses"
-        )
-
-    @property
-    def torque_remarks(self) -> tuple[tuple[str, str], ...]:
-        """Kinds (warning, note) and texts of what an observer does not know of torques."""
-        kinds = ("warning", self.unknown_torques), ("note", self.default_deviation)
-        return tuple((kind, text) for kind, text in kinds if text)
+        return (("warning", problem),)
 
     @property
     def larger_errors(self) -> str:
@@ -211,8 +189,7 @@ class RobotDescription:
         Raises:
             ModelError: the URDF does not fit the model file.
         """
-        urdf = Urdf(text, f"topic {self.topic}")
-        return replace(self, urdf=urdf, document={**self.document, "urdf": text})
+        return replace(self, urdf=Urdf(text, f"topic {self.topic}"))
 
     @property
     def urdf_joints(self) -> tuple[UrdfJoint, ...]:
@@ -274,49 +251,32 @@ class RobotDescription:
             ModelError: a value is impossible, such as a restitution above 1.
         """
         known = {**self.parameters, **values}
+        for name in values:
+            if known[name] < 0:
+                raise ModelError(name, f"{known[name]:g} found; expected a number of at least 0")
 
         def of_joints(kind: str) -> Vector:
-            return np.array([known[f"{kind}.{name}"] for name in self.joints])
+            return frozen([known[f"{kind}.{name}"] for name in self.joints])
 
+        contacts = []
+        for i, each in enumerate(self.contacts):
+            eps = f"{RESTITUTION}.{each.name}"
+            own = [
+                known[eps] if p.kind == RESTITUTION else p.value for p in each.rebound.parameters
+            ]
+            law = each.rebound.with_values(own).checked(f"contacts[{i}]") if own else each.rebound
+            contacts.append(replace(each, rebound=law))
         return replace(
             self,
             own_damping=of_joints(DAMPING),
             rotor_inertia=of_joints(ROTOR_INERTIA),
-            contacts=tuple(_with_restitution(each, known) for each in self.contacts),
+            contacts=tuple(contacts),
         )
 
     def _check_joints(self, urdf: Urdf) -> None:
         for i, name in enumerate(self.joints):
-            key = f"joints[{i}]"
-            if name not in urdf.joints:
-                known = ", ".join(k for k, each in urdf.joints.items() if each.type != FIXED)
-                raise ModelError(
-                    key,
-                    f"{name!r} is no joint of {self.origin}; expected one of {known or 'none'}",
-                )
-            joint = urdf.joints[name]
-            if joint.type not in UNITS_BY_TYPE:
-                wanted = ", ".join(UNITS_BY_TYPE)
-                raise ModelError(
-                    key, f"{name!r} is a {joint.type} joint of {self.origin}; expected {wanted}"
-                )
-            if joint.mimics:
-                raise ModelError(
-                    key, f"{name!r} mimics {joint.mimics!r}; expected a joint that moves by itself"
-                )
-            if joint.friction:
-                raise ModelError(
-                    key,
-                    f"{name!r} has dry friction of {joint.friction:g} in {self.origin}, which"
-                    " robots cannot have here; expected friction 0, and damping instead",
-                )
-        for joint in urdf.joints.values():
-            if joint.mimics in self.joints:
-                raise ModelError(
-                    f"joints[{self.joints.index(joint.mimics)}]",
-                    f"{joint.name!r} of {self.origin} mimics {joint.mimics!r}, so it moves too;"
-                    f" expected a URDF in which {joint.name!r} is fixed",
-                )
+            if problem := self._problem_of_joint(urdf, name):
+                raise ModelError(f"joints[{i}]", f"{name!r} {problem}")
         for name in self.held:
             kind = urdf.joints[name].type if name in urdf.joints else ""
             if kind not in UNITS_BY_TYPE or name in self.joints:
@@ -325,6 +285,29 @@ class RobotDescription:
                     f"is no joint that can be held in {self.origin}; expected a revolute,"
                     " continuous or prismatic joint that is not in joints",
                 )
+
+    def _problem_of_joint(self, urdf: Urdf, name: str) -> str:
+        """Why a joint cannot be part of the state; empty where it can."""
+        if (joint := urdf.joints.get(name)) is None:
+            movable = [k for k, each in urdf.joints.items() if each.type != FIXED] or ["none"]
+            return f"is no joint of {self.origin}; expected one of {', '.join(movable)}"
+        if joint.type not in UNITS_BY_TYPE:
+            wanted = ", ".join(UNITS_BY_TYPE)
+            return f"is a {joint.type} joint of {self.origin}; expected {wanted}"
+        if joint.mimics:
+            return f"mimics {joint.mimics!r}; expected a joint that moves by itself"
+        if joint.friction:
+            return (
+                f"has dry friction of {joint.friction:g} in {self.origin}, which robots cannot"
+                " have here; expected friction 0, and damping instead"
+            )
+        for other in urdf.joints.values():
+            if other.mimics == name:
+                return (
+                    f"moves {other.name!r} of {self.origin}, which mimics {name!r}; expected a"
+                    f" URDF in which {other.name!r} is fixed"
+                )
+        return ""
 
 
 def one_of_each(joints: Sequence[str], urdf: Urdf | None) -> str:
@@ -338,22 +321,67 @@ def _by_joint(kind: str, joints: Sequence[str], values: Vector) -> dict[str, flo
     return {f"{kind}.{name}": value for name, value in zip(joints, values.tolist(), strict=True)}
 
 
-def _with_restitution(contact: PlaneContact, known: Mapping[str, float]) -> PlaneContact:
-    """The contact with the known value of its restitution."""
-    law = contact.rebound
-    values = [
-        known[f"{RESTITUTION}.{contact.name}"] if each.kind == RESTITUTION else each.value
-        for each in law.parameters
-    ]
-    return replace(contact, rebound=law.with_values(values)) if values else contact
+def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
+    """The robot in a model file; ``folder`` is where its other files lie.
+
+    Raises:
+        ModelError: a value is wrong; the error names the key and the expected value.
+    """
+    joints, urdf = tuple(model.joints), _urdf(model.urdf, folder)
+    forcing = smooth_forcing(model.forcing, joints, folder, one_of_each(joints, urdf))
+    return RobotDescription(
+        name=model.name,
+        joints=joints,
+        urdf=urdf,
+        topic=model.urdf.topic if isinstance(model.urdf, TopicKeys) else "",
+        held=model.held,
+        own_damping=_of_joints("damping", model.damping, joints, urdf),
+        rotor_inertia=_of_joints("rotor_inertia", model.rotor_inertia, joints, urdf),
+        contacts=tuple(_read_contact(f"contacts[{i}]", c) for i, c in enumerate(model.contacts)),
+        forces=None if isinstance(model.forces, UnsetType) else (model.forces.topic, "effort"),
+        torque_deviation=_torque_deviation(model.torque_deviation, joints, urdf),
+        gravity=vector("gravity", model.gravity, 3),
+        forcing=forcing.checked(len(joints)),
+    )
 
 
-def _checked_contact(i: int, contact: PlaneContact) -> PlaneContact:
-    key = f"contacts[{i}]"
-    normal = finite(f"{key}.normal", contact.normal, (3,), "3 numbers")
+def _urdf(given: str | TopicKeys, folder: Path | None) -> Urdf | None:
+    """The URDF; None where it comes from a topic."""
+    if isinstance(given, TopicKeys):
+        return None
+    if given.lstrip().startswith("<"):
+        return Urdf(given, "the URDF in the model")
+    return Urdf(read_text(file_beside("urdf", given, folder)), given)
+
+
+def _of_joints(
+    key: str, given: Mapping[str, float], joints: tuple[str, ...], urdf: Urdf | None
+) -> Vector:
+    """A number of each joint, zero where a joint has none, shape (n,)."""
+    for name in given:
+        if name not in joints:
+            wanted = ", ".join(joints)
+            if urdf is not None and name in urdf.movable_beside(joints):
+                wanted += f", or {name} in joints, without which it is held"
+            raise ModelError(f"{key}.{name}", f"is none of joints; expected some of {wanted}")
+    return frozen([given.get(name, 0.0) for name in joints])
+
+
+def _torque_deviation(
+    given: float | Mapping[str, float] | UnsetType, joints: tuple[str, ...], urdf: Urdf | None
+) -> Vector | None:
+    if isinstance(given, UnsetType):
+        return None
+    if isinstance(given, Mapping):
+        return _of_joints("torque_deviation", given, joints, urdf)
+    return frozen([given] * len(joints))
+
+
+def _read_contact(key: str, contact: RobotContact) -> PlaneContact:
+    normal = vector(f"{key}.normal", contact.normal, 3)
     length = math.sqrt(normal.dot(normal))
     if abs(length - 1.0) > _UNIT_LENGTH:
         raise ModelError(f"{key}.normal", f"has the length {length:g}; expected 1")
-    law = contact.rebound.checked(key)
-    offset = float(finite(f"{key}.offset", contact.offset, (), "a number, m"))
-    return PlaneContact(contact.name, contact.frame, frozen(normal / length), offset, law)
+    law = read_rebound(f"{key}.restitution", contact.restitution)
+    normal = frozen(normal / length)
+    return PlaneContact(contact.name, contact.frame, normal, contact.offset, law)

@@ -5,7 +5,7 @@
 SI units: kg, N/m, Ns/m, N, m, s, rad/s, rad; for coordinates in rad those of angles. Of a robot
 Nm s/rad or Ns/m, kg m^2 or kg, Nm or N by the type of the joint. Numbers of the type ``Known``,
 ``Positive`` and ``NotNegative`` may bear their standard deviation, ``{value: 0.7, deviation:
-0.01}``, where they are parameters of the model (``parameter_places.py``). A matrix of a linear
+0.01}``, where they are parameters of the model (``parameters_in_file.py``). A matrix of a linear
 system may be the name of a ``.npy`` or Matrix Market file beside the model file, ``sampled`` that
 of a CSV file, or its text.
 
@@ -18,7 +18,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 from msgspec import UNSET, Meta, UnsetType, field
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Keys, Name, NotNegative, Number, Positive, Share
+from impact_observer.model.contact_sensors import ContactSensor
+from impact_observer.model.document import Keys, Name, NotNegative, Number, Positive
 
 Known: TypeAlias = Number
 Row: TypeAlias = tuple[Number, ...]
@@ -49,20 +50,6 @@ class UncertaintyKeys(Keys):
     fitted_to: FittedTo | UnsetType = UNSET
 
 
-class SensorKeys(Keys):
-    """What is left of the errors of a contact's sensor after the detector's corrections.
-
-    Attributes:
-        clock_error: standard deviation of the stamps, s.
-        missed: probability that an impact is not detected.
-        latency: by which the stamps are late, s.
-    """
-
-    clock_error: Share | UnsetType = UNSET
-    missed: Share | UnsetType = UNSET
-    latency: Annotated[float, Meta(ge=-10.0, le=10.0)] | UnsetType = UNSET
-
-
 class Common(Keys):
     """What all models have.
 
@@ -75,7 +62,7 @@ class Common(Keys):
     initial_state: State | UnsetType = UNSET
     uncertainty: UncertaintyKeys | UnsetType = UNSET
     provenance: dict[str, Any] = field(default_factory=dict)
-    sensors: dict[str, SensorKeys | Literal["none"]] = field(default_factory=dict)
+    sensors: dict[str, ContactSensor | Literal["none"]] = field(default_factory=dict)
 
 
 class Periodic(Keys):
@@ -301,10 +288,10 @@ class RobotModel(Common, kw_only=True):
     urdf: str | TopicKeys
     joints: tuple[Name, ...]
     held: dict[str, Number] = field(default_factory=dict)
-    damping: dict[str, Known] = field(default_factory=dict)
-    rotor_inertia: dict[str, Known] = field(default_factory=dict)
+    damping: dict[str, NotNegative] = field(default_factory=dict)
+    rotor_inertia: dict[str, NotNegative] = field(default_factory=dict)
     contacts: tuple[RobotContact, ...] = ()
     forces: Effort | UnsetType = UNSET
-    torque_deviation: Number | dict[str, Number] | UnsetType = UNSET
+    torque_deviation: NotNegative | dict[str, NotNegative] | UnsetType = UNSET
     gravity: Row = (0.0, 0.0, -9.81)
     forcing: SmoothForcing = SmoothForcing()

@@ -9,10 +9,10 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.model import Model, System
-from impact_observer.model.contact_errors import ContactErrors
+from impact_observer.model.contact_sensors import ContactErrors
 from impact_observer.model.live_signals import connected
 from impact_observer.model.measurement import Measurement
-from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.model.model_file import ModelSource, model_of
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.laws import Law, law_named

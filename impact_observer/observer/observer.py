@@ -27,7 +27,7 @@ from impact_observer.events import (
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
-from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.model.model_file import ModelSource, model_of
 from impact_observer.model.multibody import is_multibody
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences

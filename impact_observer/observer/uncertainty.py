@@ -10,8 +10,8 @@ from scipy import linalg
 
 from impact_observer.errors import UsageError
 from impact_observer.model import System
-from impact_observer.model.contact_errors import ContactErrors
-from impact_observer.model.time_shift import NO_SHIFT, TimeShift
+from impact_observer.model.contact_sensors import ContactErrors
+from impact_observer.model.fit_verdict import NO_SHIFT, TimeShift
 from impact_observer.observer.contradiction import Declared
 from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.options import Options, highest

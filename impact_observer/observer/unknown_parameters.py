@@ -8,10 +8,10 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.model import System
-from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, is_observed, parametric_family
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.system import Element
 from impact_observer.states import Matrix, Vector, frozen
 
 _RESTITUTION_DEVIATION = 0.1

@@ -27,7 +27,7 @@ from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
-from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.model.model_file import ModelSource, model_of
 from impact_observer.model.multibody import Multibody, is_multibody, multibody_of
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.plant.zeno import (

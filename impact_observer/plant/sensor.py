@@ -323,7 +323,7 @@ def _errors_of(
     """Errors of a contact with its ``own`` sensor, or without any."""
     if own is None:
         return _ContactErrors(0.0, 1.0, 0.0, None)
-    given = dict(own.given())
+    given = own.given()
     return _ContactErrors(
         given.get("clock_error", sensor.jitter),
         given.get("missed", sensor.missed),

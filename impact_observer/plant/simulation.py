@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.model.model_file import ModelSource, model_of
 from impact_observer.model.multibody import Multibody
 from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.switching import Switching

@@ -17,8 +17,9 @@ from impact_observer.events import ImpactEvent
 from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
 from impact_observer.model import Model, parse_model
+from impact_observer.model.fit_verdict import FITS
 from impact_observer.model.free_parameters import parameters_beside, parametric_family
-from impact_observer.model.model_file import FITS, ModelText
+from impact_observer.model.model_file import ModelText
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.model.yaml_text import edited
 from impact_observer.observer import Options

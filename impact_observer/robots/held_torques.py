@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.model.live_samples import NEVER, LiveSamples
+from impact_observer.model.live_signals import NEVER, LiveSamples
 from impact_observer.states import Matrix, Vector, frozen
 
 _WINDOW = 512

@@ -20,9 +20,8 @@ from impact_observer.events import Contacts
 from impact_observer.model import Model, System
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import LiveNames
-from impact_observer.model.live_samples import LiveSamples
-from impact_observer.model.live_signals import LiveSignals
-from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.model.live_signals import LiveSamples, LiveSignals
+from impact_observer.model.model_file import ModelSource, model_of
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.model.system import checked_parts, per_second
 from impact_observer.robots.held_torques import HeldTorques

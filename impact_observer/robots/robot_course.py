@@ -14,7 +14,7 @@ import numpy as np
 
 from impact_observer.dynamics import Motion
 from impact_observer.events import Contacts
-from impact_observer.model.live_samples import LiveSamples
+from impact_observer.model.live_signals import LiveSamples
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_parameters import torques_by_parameters
 from impact_observer.square_roots import triangular

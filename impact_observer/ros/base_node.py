@@ -320,7 +320,7 @@ class BaseNode(LifecycleNode):
                 f" {_URDF_PATIENCE:g} s; expected a latched std_msgs/String, as of"
                 " robot_state_publisher"
             )
-        return replace(model, robot=robot.with_urdf(got[0][0].data))
+        return model.with_urdf(got[0][0].data)
 
     def _end_second(self) -> None:
         """Publish the diagnostics of a second, and log how often lines were repeated."""

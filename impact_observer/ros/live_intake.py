@@ -107,7 +107,7 @@ class LiveIntake:
             return {}
         return {
             name: (now - newest) / NS_PER_S if newest else float("inf")
-            for name, newest in zip(self._live.names, self._live.newest, strict=True)
+            for name, newest in zip(self._live.inputs, self._live.newest, strict=True)
         }
 
     def silent(self, now: int, timeout: float) -> str:

@@ -22,7 +22,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import efforts_on
 from impact_observer.io.messages import AnyMessage
 from impact_observer.model import read_model
-from impact_observer.model.measurements_file import read_measurements
+from impact_observer.model.measurement import read_measurements
 from impact_observer.observer import initial_state, make_observer
 from impact_observer.observer.misfit import EXPLAINED
 from impact_observer.options import Options, Value

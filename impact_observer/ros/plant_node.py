@@ -18,7 +18,7 @@ from impact_observer.io.recordings import published_model
 from impact_observer.io.simulated_samples import Sampling
 from impact_observer.model import System, read_model
 from impact_observer.model.live_signals import LiveSignals, connected
-from impact_observer.model.measurements_file import read_measurements
+from impact_observer.model.measurement import read_measurements
 from impact_observer.model.multibody import multibody_of
 from impact_observer.plant import Plant, SensorModel, SensorSimulation
 from impact_observer.ros import parameters

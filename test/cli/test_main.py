@@ -53,7 +53,7 @@ def test_version_is_that_of_the_manifest(capsys: pytest.CaptureFixture[str]) -> 
         ("[[20, -10], [-10, 10]]", "[[20, -10]]", "stiffness"),
         ("stiffness:", "stifness:", "stifness: is not known here"),
         ("[[1, 0], [0, 1]]", "[[1.0e+308, 0], [0, 1]]", "mass[0][0]: 1e+308 found"),
-        ("[[1, 0], [0, 1]]", "[[1.0e-300, 0], [0, 1.0e-300]]", "mass: is too small"),
+        ("[[1, 0], [0, 1]]", "[[1.0e-300, 0], [0, 1.0e-300]]", "mass: is not positive definite"),
         ("[0.1, -0.2]", "[1.0e+20, -0.2]", "initial_state.position[0]: 1e+20 found"),
         ("initial_state:", "provenance:", "initial_state: is missing"),
     ],

@@ -13,7 +13,7 @@ from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.messages import read_estimate, read_measurement_verdict
 from impact_observer.model import read_model
-from impact_observer.model.measurements_file import read_measurements
+from impact_observer.model.measurement import read_measurements
 from impact_observer.resources import shared
 from impact_observer.stamps import NS_PER_S
 

@@ -82,7 +82,7 @@ IN_MATRIX_FORM = (
     (
         "[[20, -10], [-10, 10]]",
         "[[20, -20], [-20, 10]]",
-        "stiffness: it is not positive semidefinite",
+        "stiffness: is not positive semidefinite",
     ),
     (
         "[[0.2, -0.1], [-0.1, 0.1]]",

@@ -60,10 +60,10 @@ def test_a_model_that_says_nothing_has_no_uncertainty_and_exact_values_have_a_ze
         (
             "restitution.stop,",
             "restitution.wall,",
-            "uncertainty.names: parameter 'restitution.wall': this model has none",
+            "uncertainty.names[0]: parameter 'restitution.wall': this model has none",
         ),
         ("restitution.stop,", "restitution,", "a kind; expected single parameters: restitution."),
-        ("restitution.stop,", "clock-offset,", "names: clock-offset found"),
+        ("restitution.stop,", "clock-offset,", "names[0]: clock-offset found"),
         ("restitution.stop,", "stiffness-scale,", "found twice; name it once"),
         ("restitution.stop,", "stiffness.ground-a,", "stands beside stiffness; name one of them"),
         ("[1.0e-4, 2.0e-6]", "[1.0e-4, 3.0e-6]", "uncertainty.covariance: is not symmetric: [0]"),
@@ -255,7 +255,7 @@ def test_a_deviation_of_what_is_no_parameter_is_one_line(old: str, new: str, lin
         (
             ELEMENTS.replace("stiffness: 10", "stiffness: {value: 10, deviation: 1}")
             + "uncertainty: {names: [stiffness-scale], covariance: [[0.01]]}\n",
-            "uncertainty.names: parameter 'stiffness-scale'",
+            "uncertainty.names[0]: parameter 'stiffness-scale'",
         ),
         (
             ELEMENTS.replace("amplitude: 4", "amplitude: {value: 0, deviation: 1}"),

@@ -8,11 +8,7 @@ from numpy.typing import NDArray
 from impact_observer.dynamics import Phases
 from impact_observer.dynamics.tangent import Tangent
 from impact_observer.model import parse_model
-from impact_observer.model.free_parameters import (
-    forcing_quadratures,
-    harmonic_forces,
-    parametric_family,
-)
+from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parametric_family import ParametricFamily
 
 SHAKEN = """
@@ -26,15 +22,6 @@ springs:
   - {between: [a, b], stiffness: 40, damping: 0.3}
 forces: [{body: b, amplitude: 4, frequency: 2.5, phase: 0.2}, {body: a, constant: 1.5}]
 stops: [{name: stop, between: [table, b], gap: 0.1, restitution: 0.6}]
-"""
-FORCED = """
-name: forced
-bodies: [{name: a, mass: 2}, {name: b, mass: 1}]
-springs: [{between: [ground, a], stiffness: 30}, {between: [a, b], stiffness: 40, damping: 0.3}]
-forces:
-  - {body: b, amplitude: 4, frequency: 2.5, phase: 0.2}
-  - {body: a, amplitude: 1, frequency: 7}
-stops: [{name: stop, body: b, limit: 0.1, side: above, restitution: 0.6}]
 """
 Array = NDArray[np.float64]
 OF_FORCES = ("constant-force", "forcing-amplitude", "forcing-phase", "forcing-frequency")
@@ -72,17 +59,6 @@ def test_the_force_changes_as_that_of_systems_beside(kind: str, share: float) ->
     """Central differences, at the model's values and at others, with a ground that moves."""
     system = parse_model(SHAKEN, "shaken").system
     assert_forces_change_as_systems_beside(parametric_family(system, [kind]), share)
-
-
-def test_harmonic_forces_change_the_force_as_that_of_systems_beside() -> None:
-    """Central differences at other amplitudes and phases; the forces are linear in them."""
-    system = parse_model(FORCED, "forced").system
-    names = ["forcing-amplitude", "forcing-phase"]
-    family = parametric_family(system, names).extended(
-        [*forcing_quadratures(system), *harmonic_forces(system)]
-    )
-    assert family.size == 2 * len(names) + 2 + 2 * system.n * 2
-    assert_forces_change_as_systems_beside(family, 0.1)
 
 
 def test_the_parameters_of_a_ground_change_a_flight_as_systems_beside() -> None:

@@ -139,7 +139,7 @@ RUBBING = PENDULUM.replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 -1 0"/><dynamic
     ("text", "joints", "keys", "line"),
     [
         (FINGERS, "right", {}, r"joints\[0\]"),
-        (FINGERS, "left", {}, r"joints\[0\]: 'right' of .* mimics 'left', so it moves too"),
+        (FINGERS, "left", {}, r"joints\[0\]: 'left' moves 'right' of .*, which mimics 'left'"),
         (FINGERS, "lift", {}, r"joints\[0\]"),
         (DOUBLE, "end", {}, r"joints\[0\]: 'end' is a fixed joint"),
         (DOUBLE, "knee", {}, r"joints\[0\]"),

@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import efforts_on
-from impact_observer.model.measurements_file import read_measurements
+from impact_observer.model.measurement import read_measurements
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.topics import ros_messages

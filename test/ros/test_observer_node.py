@@ -590,7 +590,7 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
     future = client.call_async(SetState.Request(position=[1.0], velocity=[0.0, 0.0]))
     spinner.until(future.done)
     assert not future.result().success
-    assert "1 values, expected 2" in future.result().message
+    assert "1 values found; expected 2" in future.result().message
 
     covariance = np.diag([1e-6, 1e-6, 1e-4, 1e-4]).ravel()
     request = SetState.Request(position=wanted[:2], velocity=wanted[2:], covariance=covariance)

@@ -19,7 +19,7 @@ from impact_observer.io.simulated_samples import (
     samples_of_run,
 )
 from impact_observer.model import parse_model, read_model
-from impact_observer.model.measurements_file import read_measurements
+from impact_observer.model.measurement import read_measurements
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.stamps import NS_PER_S, grid

@@ -34,7 +34,7 @@ from impact_observer.io.messages import read_estimate
 from impact_observer.io.reader import BagReader
 from impact_observer.io.writer import BagWriter
 from impact_observer.model import read_model
-from impact_observer.model.measurements_file import read_measurements
+from impact_observer.model.measurement import read_measurements
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.resources import shared

@@ -23,7 +23,7 @@ from std_msgs.msg import Float64
 
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
 from impact_observer.model import read_model
-from impact_observer.model.measurements_file import parse_measurements
+from impact_observer.model.measurement import parse_measurements
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Plant, Run, simulate

@@ -79,11 +79,6 @@ class PowerLaw(ReboundLaw):
         """The restitution at ``speed``."""
         return self.value
 
-    @property
-    def nominal_slope(self) -> float:
-        """The slope of ``r`` at ``speed``."""
-        return (1 + self.exponent) * self.value
-
     def restitution_at(self, speed: Vector) -> Vector:
         """``eps`` at speeds ``v`` >= 0, m/s, of any shape."""
         return np.minimum(self.limit, self._unlimited(speed))

@@ -6,7 +6,6 @@ are positive where the gap opens. Of several contacts at once Newton's law asks
 ``0 <= gamma+ + r(gamma-)  _|_  Lambda >= 0``.
 """
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,9 +15,6 @@ import numpy as np
 
 from impact_observer.model.document import Value
 from impact_observer.states import Vector
-
-_SOFT = 0.1
-"""Least restitution by which the speed before an impact is guessed from the speed after."""
 
 
 class ReboundParameter(NamedTuple):
@@ -88,11 +84,6 @@ class ReboundLaw(ABC):
         """A usual coefficient of restitution, where no speed is known."""
 
     @property
-    def nominal_slope(self) -> float:
-        """The slope of ``r`` where no speed is known."""
-        return self.nominal
-
-    @property
     def is_nonexpansive(self) -> bool:
         """Whether the slope of ``r`` lies in [-1, 1]: then an impact alone never raises V."""
         return True
@@ -108,20 +99,6 @@ class ReboundLaw(ABC):
     @abstractmethod
     def slope(self, gamma: float) -> float:
         """``dr/dgamma`` at one contact speed, m/s."""
-
-    def bend(self, gamma: float, deviation: float) -> float:
-        """Root mean square of what the curvature of ``r`` adds to an error of the speed, m/s.
-
-        The speed has the standard ``deviation`` about ``gamma``, m/s.
-        """
-        aside = gamma + np.array([0.0, 1.0, -1.0]) * deviation
-        rebounds = self.rebound(aside)
-        line = rebounds[0] + self.slope(gamma) * (aside[1:] - aside[0])
-        return math.sqrt(3.0) * float(np.max(np.abs(rebounds[1:] - line)))
-
-    def speed_before(self, after: float) -> float:
-        """About ``gamma-`` of an impact that led to the contact speed ``after``, m/s."""
-        return -after / max(self.nominal, _SOFT)
 
     @property
     def parameters(self) -> tuple[ReboundParameter, ...]:

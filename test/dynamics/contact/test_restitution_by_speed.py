@@ -176,7 +176,7 @@ def test_value_and_exponent_are_identified_and_written_back() -> None:
     found = identify(family, list(made.events))
     assert found.verdict.fits
     np.testing.assert_allclose(found.values, [0.7, -0.25], rtol=1e-4)
-    for text in (model.text(), replace(model, element_form={}).text()):
+    for text in (model.text(), replace(model, form={}).text()):
         document = load_yaml(text)
         written = edited(text, changes(document, family, np.array([0.6, -0.1])))  # type: ignore[arg-type]
         curve = parse_model(written, "fitted").system.contacts[0].rebound
