@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import print_table
     from impact_observer.errors import UsageError
-    from impact_observer.io.bag_topics import SIGNAL_FILES
+    from impact_observer.io.bag_files import SIGNAL_FILES
     from impact_observer.model import read_model
     from impact_observer.output_files import check_output
 

@@ -10,13 +10,14 @@ import sys
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypeVar, cast, final
 
 import numpy as np
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
@@ -32,16 +33,16 @@ from impact_observer.errors import (
 from impact_observer.events import ImpactEstimate, ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.input_files import check_input
 from impact_observer.io import interfaces
-from impact_observer.io.bag_topics import (
-    TopicInfo,
+from impact_observer.io.bag_files import (
     bag_files,
+    has_end,
     recover_command,
     reindex_command,
     storage_of,
-    topic_info,
     views_in,
+    write_whole,
 )
-from impact_observer.io.interfaces import Interface
+from impact_observer.io.interfaces import Interface, Quality
 from impact_observer.io.messages import (
     AnyMessage,
     MessageError,
@@ -63,7 +64,6 @@ from impact_observer.io.typestores import (
     deserialize,
     new_typestore,
 )
-from impact_observer.io.unfinished_mcap import has_end, write_whole
 from impact_observer.model.yaml_text import load_yaml
 from impact_observer.plain_text import say
 from impact_observer.resources import read_text
@@ -77,6 +77,42 @@ _MOST_NESTED = 1000
 _WRONG_KIND = "rows without a whole log time (ns) and bytes"
 _BLOCK = 1024
 """Most states in a block."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a bag.
+
+    Attributes:
+        name: the absolute name.
+        type: the message type; several joined by `` and `` when publishers disagreed.
+        count: messages.
+        quality: the quality of service that was offered; None when the bag does not have it.
+        definition: the text of the message type; empty when the bag does not have it.
+    """
+
+    name: str
+    type: str
+    count: int
+    quality: Quality | None
+    definition: str
+
+    @classmethod
+    def of(cls, topic: str, connections: Sequence[Connection]) -> "TopicInfo":
+        """A topic with all its connections."""
+        offers = [
+            Quality.recorded(qos, interfaces.usual_quality(topic).depth)
+            for connection in connections
+            if isinstance(connection.ext, ConnectionExtRosbag2)
+            for qos in connection.ext.offered_qos_profiles
+        ]
+        return cls(
+            name=topic,
+            type=" and ".join(sorted({connection.msgtype for connection in connections})),
+            count=sum(connection.msgcount for connection in connections),
+            quality=Quality.common(offers) if offers else None,
+            definition=connections[0].msgdef.data,
+        )
 
 
 class RawMessage(NamedTuple):
@@ -176,7 +212,7 @@ class BagReader:
             own = self._connections.setdefault(interfaces.absolute(topic), [])
             own += self._reader.topics[topic].connections
         self.topics = {
-            topic: topic_info(topic, connections)
+            topic: TopicInfo.of(topic, connections)
             for topic, connections in self._connections.items()
         }
         # `ros2 bag convert` leaves qualities out of files that metadata.yaml has; rosbags

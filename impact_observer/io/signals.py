@@ -11,8 +11,8 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.input_files import check_input
+from impact_observer.io.bag_files import SOUND_FILES
 from impact_observer.io.bag_part import BagPart, TimeZero
-from impact_observer.io.bag_topics import SOUND_FILES
 from impact_observer.io.tables import Table, TableForm, left_out, read_table
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector
