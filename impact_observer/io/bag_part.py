@@ -8,7 +8,7 @@ from typing import NamedTuple
 from impact_observer.errors import UnfitBagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
-from impact_observer.io.live_inputs import epoch_in, first_pulse
+from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.measured_samples import received_topics
 from impact_observer.io.reader import BagReader, first_stamp, states_of
 from impact_observer.io.recordings import epoch_of
@@ -60,7 +60,7 @@ def time_zero(reader: BagReader, epoch: int | None = None) -> TimeZero:
     with reader.whole_bag():
         topic = reader.find(interfaces.IMPACTS)
         events = [] if topic is None else [*reader.events(topic)]
-        if known := epoch_in(reader, events):
+        if known := epoch_of(events) or first_pulse(reader):
             return TimeZero(known)
         if events:
             return TimeZero(min(each.stamp for each in events), FIRST_IMPACT)

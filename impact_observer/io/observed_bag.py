@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from operator import attrgetter, itemgetter
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,8 +23,7 @@ from impact_observer.events import (
     rejected_impacts,
 )
 from impact_observer.io import interfaces
-from impact_observer.io.estimate_messages import OBSERVER, in_log_order, messages_of
-from impact_observer.io.live_inputs import LIVE_TOPICS, first_pulse, give_efforts, give_recorded
+from impact_observer.io.live_inputs import efforts_on, first_pulse, give_recorded
 from impact_observer.io.measured_samples import MeasuredTopics
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
@@ -36,7 +36,7 @@ from impact_observer.observer.event_outcomes import count_rulings
 from impact_observer.observer.replay import Impacts, noting_impacts
 from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import grid, text
-from impact_observer.states import Estimates, Stamps
+from impact_observer.states import Estimate, Estimates, Stamps
 
 _MOST_ESTIMATES = 10_000_000
 """Most estimates that are made, those of one day at 100 Hz: a wrong stamp could fill the disk."""
@@ -44,6 +44,11 @@ _MOST_NAMES = 5
 """Contacts that an error names."""
 _MOST_FIXED = 256
 """Bytes of an estimate's two messages besides names and numbers of its coordinates, about."""
+OBSERVER = "observer"
+"""The node that publishes estimates, where no other is named."""
+Serialize: TypeAlias = Callable[[str, object], bytes]
+"""Makes bytes of a topic and a message of its type."""
+_Judged: TypeAlias = Verdict | MeasurementVerdict
 
 
 def observe_bag(
@@ -91,7 +96,7 @@ def observe_bag(
         warn(line)
     for line in give_inputs(reader, observer):
         warn(line)
-    copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS, interfaces.PHASE_REFERENCE)
+    copied_topics = (*PLANT_TOPICS, interfaces.FORCING, interfaces.PHASE_REFERENCE)
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
     if measured is not None:
         topics += [topic for topic in measured.topics if topic not in topics]
@@ -151,7 +156,7 @@ def _check_events(
 
 def _with_samples(
     items: Iterable[Estimates | Verdict], observer: Observer, published: Collection[str]
-) -> Iterator[Estimates | Verdict | MeasurementVerdict]:
+) -> Iterator[Estimates | _Judged]:
     """``items``, and the verdicts on samples of the sensors of these names before them."""
     for item in items:
         yield from (each for each in observer.samples.take() if each.name in published)
@@ -217,11 +222,12 @@ def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
     Raises:
         BagError: the bag is damaged.
     """
-    robot = observer.robot
-    forces = None if robot is None else robot.description.forces
-    if observer.live is not None and forces is not None:
-        return give_efforts(reader, observer.live, forces[0])
-    return give_recorded(reader, observer.live)
+    if (live := observer.live) is None:
+        return iter(())
+    forces = None if observer.robot is None else observer.robot.description.forces
+    if forces is None:
+        return give_recorded(reader, live)
+    return give_recorded(reader, live, efforts_on(interfaces.absolute(forces[0])))
 
 
 def check_size(
@@ -260,6 +266,54 @@ def _stamps_of(reader: BagReader, topic: str) -> Stamps:
     return np.unique(reader.stamps(topic))
 
 
+def in_log_order(
+    items: Iterable[Estimates | _Judged],
+) -> Iterator[tuple[int, Estimate | _Judged]]:
+    """Yields estimates and verdicts with log times (ns) that never go back.
+
+    The log time of an estimate is its stamp. A verdict that is given before the estimates up to
+    its stamp waits for them. A verdict on an earlier stamp, a revision, is logged when given.
+    """
+    waiting: list[tuple[int, int, _Judged]] = []
+    last = 0
+    for k, item in enumerate(items):
+        if not isinstance(item, Estimates):
+            heapq.heappush(waiting, (max(item.stamp, last), k, item))
+            continue
+        for estimate in item:
+            while waiting and waiting[0][0] <= estimate.stamp:
+                last, _, verdict = heapq.heappop(waiting)
+                yield last, verdict
+            last = estimate.stamp
+            yield last, estimate
+    for log_time, _, verdict in sorted(waiting):
+        yield log_time, verdict
+
+
+def messages_of(
+    estimate: Estimate, names: tuple[str, ...], serialize: Serialize, owner: str = OBSERVER
+) -> Iterator[tuple[int, str, bytes]]:
+    """Yields log time (ns), topic and bytes of the two messages of an estimate.
+
+    Args:
+        estimate: of the node ``owner``.
+        names: of the coordinates.
+        serialize: makes the bytes.
+        owner: the node's name.
+
+    Raises:
+        MessageError: a message cannot carry the estimate.
+    """
+    make = bag_messages()
+    state = make.estimate(estimate, names)
+    for own, message in (
+        (interfaces.OBSERVER_JOINT_STATES, make.joint_state_of(state)),
+        (interfaces.OBSERVER_STATES, state),
+    ):
+        topic = f"/{own.name_under(owner)}"
+        yield estimate.stamp, topic, serialize(topic, message)
+
+
 class _ObserverMessages:
     """Makes the messages of estimates and verdicts, and counts them."""
 
@@ -276,9 +330,7 @@ class _ObserverMessages:
         self._bound = -1.0
         self._misfit = ""
 
-    def serialized(
-        self, items: Iterable[Estimates | Verdict | MeasurementVerdict]
-    ) -> Iterator[tuple[int, str, bytes]]:
+    def serialized(self, items: Iterable[Estimates | _Judged]) -> Iterator[tuple[int, str, bytes]]:
         """Yields log time (ns), topic and bytes of each message of ``items``."""
         make, serialize = bag_messages(), self._serialize
         for log_time, item in in_log_order(items):

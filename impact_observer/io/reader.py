@@ -30,7 +30,7 @@ from impact_observer.errors import (
     UnfitBagError,
     UsageError,
 )
-from impact_observer.events import ImpactEstimate, ImpactEvent, MeasurementVerdict, Verdict
+from impact_observer.events import ImpactEstimate, ImpactEvent, Verdict
 from impact_observer.input_files import check_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_files import (
@@ -48,7 +48,6 @@ from impact_observer.io.messages import (
     MessageError,
     read_event,
     read_impact_estimate,
-    read_measurement_verdict,
     read_stamp,
     read_verdict,
 )
@@ -167,6 +166,7 @@ class BagReader:
             self.close()
             raise
         self._store: Typestore | None = None
+        self._defined = set[str]()  # topics whose definitions the store has
         self.low = 0
         self._limits: tuple[int, int] | None = None
         self._received: frozenset[str] = frozenset()
@@ -393,14 +393,6 @@ class BagReader:
         """
         return self._values(topic, interfaces.IMPACT_ESTIMATE, read_impact_estimate)
 
-    def sample_verdicts(self, topic: str) -> Iterator[MeasurementVerdict]:
-        """The verdicts on samples of a topic, in bag order.
-
-        Raises:
-            BagError: the topic is missing or of another type, or a message has no valid verdict.
-        """
-        return self._values(topic, interfaces.MEASUREMENT_VERDICT, read_measurement_verdict)
-
     def blocks(
         self,
         topics: Collection[str],
@@ -510,14 +502,13 @@ class BagReader:
             self._store = new_typestore()
         store, topic, type_name = self._store, info.name, info.type
         try:
-            disagrees = info.definition and add_definition(store, info.definition, type_name)
+            if info.definition and topic not in self._defined:
+                add_definition(store, info.definition, type_name)
+                self._defined.add(topic)
         except BagError as error:
-            raise BagError(f"{self.path}: {topic}: {error}") from error
-        if disagrees:
             raise BagError(
-                f"{self.path}: {topic} has another definition of {type_name} than this package; "
-                "read it with the version that made it"
-            )
+                f"{self.path}: {topic}: {error}; read it with the version that made it"
+            ) from error
         if type_name not in store.fielddefs:
             raise BagError(
                 f"{self.path}: {topic} is {type_name}, which neither this package nor the bag "

@@ -230,7 +230,8 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
     )
     if f"{prefix}/measurements" not in reader.topics:
         return outcomes
-    used = Counter(each.accepted for each in reader.sample_verdicts(f"{prefix}/measurements"))
+    verdicts_on_samples = reader.messages(f"{prefix}/measurements")
+    used = Counter(bool(each.accepted) for _, each in verdicts_on_samples)
     return replace(outcomes, measured=(used[True], used[False]))
 
 

@@ -189,11 +189,8 @@ class BagWriter:
         known = interface(topic)
         if (type_name := type_name or (known.type if known else None)) is None:
             raise UsageError(f"{self.path}: {topic} is no topic of this package; name its type")
-        if definition and add_definition(self._store, definition, type_name):
-            raise BagError(
-                f"{self.path}: {topic} brings another definition of {type_name}; "
-                "a bag can hold one only"
-            )
+        if definition:
+            add_definition(self._store, definition, type_name)
         if type_name not in self._store.fielddefs:
             raise UsageError(f"{self.path}: {topic} is {type_name}; give its definition too")
         offered = dump_qos_v9([(quality or usual_quality(topic)).offered()])
@@ -205,7 +202,7 @@ class BagWriter:
         with self._one_line():
             schema = self._schema(type_name)
             channel = self._writer.register_channel(topic, "cdr", schema, in_file)
-        about = {
+        about: dict[str, object] = {
             "name": topic,
             "type": type_name,
             "serialization_format": "cdr",

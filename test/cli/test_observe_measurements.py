@@ -11,7 +11,7 @@ import pytest
 from impact_observer.cli.main import main
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.measured_samples import samples_in
-from impact_observer.io.messages import read_estimate, read_measurement_verdict
+from impact_observer.io.messages import read_estimate
 from impact_observer.model import read_model
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.resources import shared
@@ -90,10 +90,7 @@ def test_observe_uses_them_copies_them_and_says_what_became_of_them(
         assert "warning" not in text
     with BagReader(once) as one, BagReader(twice) as two:
         found, again = (each.observer_states("/observer/state") for each in (one, two))
-        verdicts = [
-            read_measurement_verdict(message)
-            for _, message in one.messages("/observer/measurements")
-        ]
+        verdicts = [message for _, message in one.messages("/observer/measurements")]
         truth = one.joint_states(one.truth_topic() or "")
     np.testing.assert_array_equal(found.q, again.q)
     np.testing.assert_array_equal(found.u, again.u)
