@@ -136,7 +136,7 @@ class MeasuredTopics(NamedTuple):
             UsageError, BagError: as ``samples_in``.
         """
         if not measurements:
-            return cls()
+            return NO_SENSORS
         samples, _, problems = samples_in(reader, measurements)
         topics = [t for each in measurements if (t := topic_in(reader, each)) is not None]
         stamps: dict[int, list[int]] = {}
@@ -144,6 +144,9 @@ class MeasuredTopics(NamedTuple):
             stamps.setdefault(each.sensor, []).append(each.stamp)
         loud = {measurements[i].name for i, own in stamps.items() if rate_of(own) <= SILENT_RATE}
         return cls(samples, [*dict.fromkeys(topics)], frozenset(loud), problems)
+
+
+NO_SENSORS = MeasuredTopics()
 
 
 def rate_of(stamps: Sequence[int]) -> float:

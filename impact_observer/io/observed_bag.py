@@ -23,9 +23,10 @@ from impact_observer.events import (
     rejected_impacts,
 )
 from impact_observer.io import interfaces
+from impact_observer.io.interfaces import Interface
 from impact_observer.io.live_inputs import efforts_on, first_pulse, give_recorded
-from impact_observer.io.measured_samples import MeasuredTopics
-from impact_observer.io.messages import bag_messages
+from impact_observer.io.measured_samples import NO_SENSORS, MeasuredTopics
+from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
 from impact_observer.io.writer import BagWriter
@@ -58,7 +59,7 @@ def observe_bag(
     *,
     rate: float | None = None,
     epoch: int = 0,
-    measured: MeasuredTopics | None = None,
+    measured: MeasuredTopics = NO_SENSORS,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[int, Counter[Ruling]]:
@@ -70,7 +71,7 @@ def observe_bag(
         output: the bag to make.
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
-        measured: the samples of sensors; None without sensors.
+        measured: the samples of sensors.
         progress: called with the number of estimates made, and of all estimates.
         warn: called with what was wrong with samples of live forces and grounds, and where events
             come after the last estimate.
@@ -87,8 +88,7 @@ def observe_bag(
     stamps = sample_stamps(reader, events, rate, epoch)
     if reader.low and min((each.sequence for each in events), default=0) > 1:
         # What happened before the part is unknown: the initial state holds at its first stamp.
-        known = [each.stamp for each in events]
-        known += [each.stamp for each in measured.samples[:1]] if measured is not None else []
+        known = [each.stamp for each in events] + [each.stamp for each in measured.samples[:1]]
         stamps = stamps[stamps >= min(known)]
     has_covariance = observer.law.has_covariance
     check_size(reader, observer.system, output, stamps, has_covariance=has_covariance)
@@ -98,23 +98,20 @@ def observe_bag(
         warn(line)
     copied_topics = (*PLANT_TOPICS, interfaces.FORCING, interfaces.PHASE_REFERENCE)
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
-    if measured is not None:
-        topics += [topic for topic in measured.topics if topic not in topics]
+    topics += [topic for topic in measured.topics if topic not in topics]
     with all_or_nothing(output) as writer:
         for topic in topics:
             info = reader.topics[topic]
-            own = info.definition if measured is not None and topic in measured.topics else ""
+            own = info.definition if topic in measured.topics else ""
             writer.declare(topic, type_name=info.type, quality=info.quality, definition=own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
         messages = _ObserverMessages(
             writer, observer.system.coordinates, lambda done: progress(done, stamps.size)
         )
-        samples = () if measured is None else measured.samples
-        items = replay_batches(observer, events, stamps, rejects=True, samples=samples)
-        loud = set() if measured is None else measured.published
         impacts: Impacts = {}
+        items = replay_batches(observer, events, stamps, rejects=True, samples=measured.samples)
         items = noting_impacts(items, observer, impacts)
-        made = messages.serialized(_with_samples(items, observer, loud))
+        made = messages.serialized(_with_samples(items, observer, measured.published))
         log_time = 0
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
@@ -332,28 +329,31 @@ class _ObserverMessages:
 
     def serialized(self, items: Iterable[Estimates | _Judged]) -> Iterator[tuple[int, str, bytes]]:
         """Yields log time (ns), topic and bytes of each message of ``items``."""
-        make, serialize = bag_messages(), self._serialize
         for log_time, item in in_log_order(items):
-            if isinstance(item, Verdict):
-                topic = interfaces.OBSERVER_VERDICTS.topic
-                yield log_time, topic, serialize(topic, make.verdict(item))
-                self.final |= final_rulings([item])
-                if not self.refusal and item.ruling is not Ruling.APPLIED:
-                    name = item.ruling.name.lower().replace("_", " ")
-                    self.refusal = f"{name}, {item.reason}" if item.reason else name
-                self.others[item.ruling] += item.ruling not in DECIDING
-                continue
-            if isinstance(item, MeasurementVerdict):
-                topic = interfaces.OBSERVER_MEASUREMENTS.topic
-                yield log_time, topic, serialize(topic, make.measurement_verdict(item))
-                continue
-            yield from messages_of(item, self._names, serialize)
-            if item.bound != self._bound:
-                self._bound = item.bound
-                topic = interfaces.OBSERVER_BOUND.topic
-                yield log_time, topic, serialize(topic, make.bound(item))
-            if item.misfit != self._misfit:
-                self._misfit, topic = item.misfit, interfaces.DIAGNOSTIC_ARRAYS.topic
-                yield log_time, topic, serialize(topic, make.misfit(item, f"/{OBSERVER}"))
-            self.estimates += 1
-            self._progress(self.estimates)
+            if isinstance(item, Estimate):
+                yield from messages_of(item, self._names, self._serialize)
+            for interface, message in self._others(item):
+                yield log_time, interface.topic, self._serialize(interface.topic, message)
+
+    def _others(self, item: Estimate | _Judged) -> Iterator[tuple[Interface, AnyMessage]]:
+        """The message of a verdict; with an estimate its bound and misfit where new."""
+        make = bag_messages()
+        if isinstance(item, Verdict):
+            yield interfaces.OBSERVER_VERDICTS, make.verdict(item)
+            self.final |= final_rulings([item])
+            if not self.refusal and item.ruling is not Ruling.APPLIED:
+                name = item.ruling.name.lower().replace("_", " ")
+                self.refusal = f"{name}, {item.reason}" if item.reason else name
+            self.others[item.ruling] += item.ruling not in DECIDING
+            return
+        if isinstance(item, MeasurementVerdict):
+            yield interfaces.OBSERVER_MEASUREMENTS, make.measurement_verdict(item)
+            return
+        if item.bound != self._bound:
+            self._bound = item.bound
+            yield interfaces.OBSERVER_BOUND, make.bound(item)
+        if item.misfit != self._misfit:
+            self._misfit = item.misfit
+            yield interfaces.DIAGNOSTIC_ARRAYS, make.misfit(item, f"/{OBSERVER}")
+        self.estimates += 1
+        self._progress(self.estimates)
