@@ -25,7 +25,6 @@ _COMPONENTS = 12
 """Most positions and velocities in the table of deviations."""
 _DOUBTED, _FEW = 0.25, 5
 """Share of the events, and least number of them, whose rejection makes the model doubtful."""
-MOST_REMARKS = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,9 +82,7 @@ def run(args: argparse.Namespace) -> int:
         tables = components(observer), parameters(read, observer), samples(observer)
         for table in (each for each in tables if each.rows):
             print_table(table)
-        warnings += remarks(read, observer, rulings)
-        for line in islice(warnings, MOST_REMARKS):
-            progress.line(f"warning: {line}")
+        progress.warn([*warnings, *remarks(read, observer, rulings)])
     return 0
 
 
