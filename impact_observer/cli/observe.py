@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import print_table
     from impact_observer.io.bag_part import assumed_epoch, read_impacts_part
-    from impact_observer.io.measured_samples import MeasuredTopics
+    from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.observed_bag import events_from, observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
-        measured = MeasuredTopics.read(reader, sensors)
+        measured = samples_in(reader, sensors)
         used = measured.samples if law_named(chosen.law).uses_measurements else ()
         events = events_from(reader, chosen.epoch)
         assumed = assumed_epoch(read.subject, events, used, chosen.epoch)

@@ -33,13 +33,19 @@ def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage
 
 
 def give_recorded(
-    reader: BagReader, live: LiveSignals, interface: interfaces.Interface = interfaces.FORCING
+    reader: BagReader,
+    live: LiveSignals | None,
+    interface: interfaces.Interface = interfaces.FORCING,
 ) -> Iterator[str]:
     """Add all samples of a bag; a line for each reason why some were left out, with their count.
+
+    Without ``live``, of a model that has no inputs, nothing is read.
 
     Raises:
         BagError: the bag is damaged.
     """
+    if live is None:
+        return
     if (topic := reader.find(interface)) is None:
         if interface != interfaces.FORCING:
             yield f"no efforts on {interface.topic}, where the model has them: they count as zero"

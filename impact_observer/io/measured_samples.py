@@ -3,7 +3,7 @@
 
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 from impact_observer.errors import UsageError
@@ -100,59 +100,22 @@ def joint_topics(reader: BagReader, declared: Sequence[Measurement]) -> list[str
 
 
 class RecordedSamples(NamedTuple):
-    """The samples of a bag.
+    """The samples of sensors in a bag.
 
     Attributes:
         samples: by stamp.
-        arrivals: time of recording of each sample, ns.
         problems: a line for each problem.
-    """
-
-    samples: list[SensorSample]
-    arrivals: list[int]
-    problems: list[str]
-
-
-class MeasuredTopics(NamedTuple):
-    """The samples of sensors in a bag, for ``observe_bag``.
-
-    Attributes:
-        samples: in order of their stamps.
-        topics: topics of the sensors, to be copied.
-        published: names of the sensors whose verdicts are written.
-        problems: a line for each problem.
+        topics: those of the sensors.
+        published: names of the sensors on whose samples verdicts are published.
     """
 
     samples: Sequence[SensorSample] = ()
+    problems: Sequence[str] = ()
     topics: Sequence[str] = ()
     published: frozenset[str] = frozenset()
-    problems: Sequence[str] = ()
-
-    @classmethod
-    def read(cls, reader: BagReader, measurements: Sequence[Measurement]) -> "MeasuredTopics":
-        """Read the samples of a bag.
-
-        Raises:
-            UsageError, BagError: as ``samples_in``.
-        """
-        if not measurements:
-            return NO_SENSORS
-        samples, _, problems = samples_in(reader, measurements)
-        topics = [t for each in measurements if (t := topic_in(reader, each)) is not None]
-        stamps: dict[int, list[int]] = {}
-        for each in samples:
-            stamps.setdefault(each.sensor, []).append(each.stamp)
-        loud = {measurements[i].name for i, own in stamps.items() if rate_of(own) <= SILENT_RATE}
-        return cls(samples, [*dict.fromkeys(topics)], frozenset(loud), problems)
 
 
-NO_SENSORS = MeasuredTopics()
-
-
-def rate_of(stamps: Sequence[int]) -> float:
-    """The mean rate of samples at ``stamps`` (ns), ascending, Hz; 0 for a single sample."""
-    span = stamps[-1] - stamps[0] if stamps else 0
-    return (len(stamps) - 1) * NS_PER_S / span if span else 0.0
+NO_SENSORS = RecordedSamples()
 
 
 def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> RecordedSamples:
@@ -162,8 +125,9 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
         UsageError: by file and key, where a field or a joint is not there; or no sensor is.
         BagError: the bag is damaged.
     """
-    received, problems = list[tuple[int, SensorSample]](), list[str]()
-    for topic, readers in _by_topic(reader, measurements, problems).items():
+    samples, problems, published = list[SensorSample](), list[str](), set[str]()
+    by_topic = _by_topic(reader, measurements, problems)
+    for topic, readers in by_topic.items():
         own = [*reader.messages(topic)]
         for each in readers:
             made, lost = _read(each, own)
@@ -175,13 +139,21 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
                 raise given.wrong("joint", f"{problem}; {first}{remedy}")
             kept = _of_clock(made)
             lost["stamped far from all others"] = len(made) - len(kept)
-            lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for _, s in kept)
+            lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for s in kept)
             for why, count in (+lost).items():
                 part = part_left_out(count, len(own), f"messages on {topic}", why)
                 problems.append(f"{each.measurement.name}: {part}")
-            received += kept
-    received.sort(key=lambda item: (item[1].stamp, item[1].sensor))
-    return RecordedSamples([s for _, s in received], [at for at, _ in received], problems)
+            samples += kept
+            if _rate([sample.stamp for sample in kept]) <= SILENT_RATE:
+                published.add(each.measurement.name)
+    samples.sort(key=lambda sample: (sample.stamp, sample.sensor))
+    return RecordedSamples(samples, problems, [*by_topic], frozenset(published))
+
+
+def _rate(stamps: Collection[int]) -> float:
+    """The mean rate of samples, Hz; 0 for a single sample."""
+    span = max(stamps, default=0) - min(stamps, default=0)
+    return (len(stamps) - 1) * NS_PER_S / span if span else 0.0
 
 
 def _read(
@@ -232,10 +204,8 @@ def received_topics(reader: BagReader, measurements: Sequence[Measurement]) -> l
     return [topic for topic in topics if topic is not None]
 
 
-def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[tuple[int, SensorSample]]:
+def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[SensorSample]:
     """The samples whose delay from stamp to reception is within a minute of the median delay."""
-    if not samples:
-        return samples
-    usual = statistics.median(at - sample.stamp for at, sample in samples)
+    usual = statistics.median(at - sample.stamp for at, sample in samples) if samples else 0
     most = _MOST_DELAY * NS_PER_S
-    return [each for each in samples if abs(each[0] - each[1].stamp - usual) <= most]
+    return [sample for at, sample in samples if abs(at - sample.stamp - usual) <= most]

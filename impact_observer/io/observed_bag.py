@@ -25,7 +25,7 @@ from impact_observer.events import (
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.live_inputs import efforts_on, first_pulse, give_recorded
-from impact_observer.io.measured_samples import NO_SENSORS, MeasuredTopics
+from impact_observer.io.measured_samples import NO_SENSORS, RecordedSamples
 from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
@@ -59,7 +59,7 @@ def observe_bag(
     *,
     rate: float | None = None,
     epoch: int = 0,
-    measured: MeasuredTopics = NO_SENSORS,
+    measured: RecordedSamples = NO_SENSORS,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[int, Counter[Ruling]]:
@@ -219,12 +219,10 @@ def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
     Raises:
         BagError: the bag is damaged.
     """
-    if (live := observer.live) is None:
-        return iter(())
     forces = None if observer.robot is None else observer.robot.description.forces
     if forces is None:
-        return give_recorded(reader, live)
-    return give_recorded(reader, live, efforts_on(interfaces.absolute(forces[0])))
+        return give_recorded(reader, observer.live)
+    return give_recorded(reader, observer.live, efforts_on(interfaces.absolute(forces[0])))
 
 
 def check_size(

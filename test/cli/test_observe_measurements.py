@@ -47,7 +47,8 @@ def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
     """Sums of coefficients of the true states, noise as declared, stamps late by the delay."""
     sensors = read_measurements(bag.parent / "rig.yaml")
     with BagReader(bag) as reader:
-        samples, arrivals, problems = samples_in(reader, sensors)
+        samples, problems, *_ = samples_in(reader, sensors)
+        arrivals = [log_time for log_time, _ in reader.messages("/laser")]
         truth = reader.joint_states(reader.truth_topic() or "")
         types = {
             each: reader.topics[each].type for each in ("/encoder", "/laser", "/imu", "/probe")
@@ -66,7 +67,8 @@ def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
         errors = [each.value - expected[k, at[each.stamp]] for each in own]
         assert len(own) == 151
         assert np.std(errors) == pytest.approx(deviation, rel=0.25)
-    late = {a - s.stamp for s, a in zip(samples, arrivals, strict=True) if s.sensor == 1}
+    of_laser = [each.stamp for each in samples if each.sensor == 1]
+    late = {a - stamp for stamp, a in zip(of_laser, arrivals, strict=True)}
     assert late == {NS_PER_S // 100}
     forces = system.forcing.derivatives(np.array([0.02]), 0)[0][0]
     i = at[NS_PER_S + NS_PER_S // 50]
