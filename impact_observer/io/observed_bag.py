@@ -2,7 +2,6 @@
 """Runs an observer on the events of a bag, and writes a bag with its estimates."""
 
 import heapq
-import shutil
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -31,7 +30,6 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
 from impact_observer.io.writer import BagWriter
 from impact_observer.model import System
-from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
 from impact_observer.observer.replay import Impacts, noting_impacts
@@ -43,8 +41,6 @@ _MOST_ESTIMATES = 10_000_000
 """Most estimates that are made, those of one day at 100 Hz: a wrong stamp could fill the disk."""
 _MOST_NAMES = 5
 """Contacts that an error names."""
-_MOST_FIXED = 256
-"""Bytes of an estimate's two messages besides names and numbers of its coordinates, about."""
 OBSERVER = "observer"
 """The node that publishes estimates, where no other is named."""
 Serialize: TypeAlias = Callable[[str, object], bytes]
@@ -90,8 +86,7 @@ def observe_bag(
         # What happened before the part is unknown: the initial state holds at its first stamp.
         known = [each.stamp for each in events] + [each.stamp for each in measured.samples[:1]]
         stamps = stamps[stamps >= min(known)]
-    has_covariance = observer.law.has_covariance
-    check_size(reader, observer.system, output, stamps, has_covariance=has_covariance)
+    check_count(reader, stamps)
     if rate is None and (line := unseen_events(events, stamps, epoch)):
         warn(line)
     for line in give_inputs(reader, observer):
@@ -225,34 +220,17 @@ def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
     return give_recorded(reader, observer.live, efforts_on(interfaces.absolute(forces[0])))
 
 
-def check_size(
-    reader: BagReader,
-    system: System | RobotDescription,
-    output: Path,
-    stamps: Stamps,
-    *,
-    has_covariance: bool,
-) -> None:
-    """Refuse more estimates than ``_MOST_ESTIMATES``, or than the disk has room for.
+def check_count(reader: BagReader, stamps: Stamps) -> None:
+    """Refuse more estimates than ``_MOST_ESTIMATES``.
 
     Raises:
         UsageError: naming the limit, and until when estimates would be made.
     """
-    count, n = stamps.size, system.n
-    covariance = 4 * n * n if has_covariance else 0
-    names = sum(len(each) + 8 for each in system.coordinates)
-    size = count * (_MOST_FIXED + 2 * (names + 16 * n) + 8 * covariance)
-    folder = next((each for each in output.absolute().parents if each.exists()), Path.cwd())
-    free = shutil.disk_usage(folder).free
-    excess = ""
-    if count > _MOST_ESTIMATES:
-        excess = f"{count} estimates; expected at most {_MOST_ESTIMATES}"
-    elif size > free:
-        excess = f"{count} estimates of {size / 1e9:.3g} GB; {folder} has {free / 1e9:.3g} GB free"
-    if excess:
+    if stamps.size > _MOST_ESTIMATES:
         raise UsageError(
-            f"{reader.path}: {excess}; they would go on until {text(int(stamps[-1]))} s;"
-            " lower --rate, or take parts by --start and --duration"
+            f"{reader.path}: {stamps.size} estimates; expected at most {_MOST_ESTIMATES}; they"
+            f" would go on until {text(int(stamps[-1]))} s; lower --rate, or take parts by --start"
+            " and --duration"
         )
 
 
