@@ -41,7 +41,6 @@ class SensorReader:
         """
         self.measurement, self.index = measurement, index
         self._delay = from_seconds(measurement.delay)
-        self._path = measurement.path() if measurement.field else ()
         if measurement.joint and type_name != interfaces.JOINT_STATE:
             problem = f"{measurement.topic} is {type_name}, which has no joints"
             expected = f"expected {interfaces.JOINT_STATE}, or field"
@@ -64,7 +63,7 @@ class SensorReader:
                 problem = f"header found, but a message of {given.topic} has no stamp in one"
                 raise given.wrong("stamp", f"{problem}; expected receive")
             stamp = received
-        value = self._of_joint(message) if given.joint else self._of_field(message)
+        value = self._of_joint(message) if given.joint else number_in(message, given)
         return None if value is None else SensorSample(self.index, stamp - self._delay, value)
 
     def _of_joint(self, message: AnyMessage) -> float | None:
@@ -75,16 +74,21 @@ class SensorReader:
         i = list(message.name).index(given.joint)
         return float(values[i]) if i < len(values) else None
 
-    def _of_field(self, message: AnyMessage) -> float:
-        given = self.measurement
-        try:
-            values = numbers_at(message, self._path)
-        except ValueError as error:
-            raise given.wrong("field", f"{given.topic}: {error}") from None
-        if len(values) != 1:
-            problem = f"{given.field} found, {len(values)} numbers; name one of them"
-            raise given.wrong("field", problem)
-        return values[0]
+
+def number_in(message: AnyMessage, measurement: Measurement) -> float:
+    """The number in the field of a sensor.
+
+    Raises:
+        UsageError: by file and key: the message has no such field, or other than one number in it.
+    """
+    try:
+        values = numbers_at(message, measurement.path())
+    except ValueError as error:
+        raise measurement.wrong("field", f"{measurement.topic}: {error}") from None
+    if len(values) != 1:
+        problem = f"{measurement.field} found, {len(values)} numbers; name one of them"
+        raise measurement.wrong("field", problem)
+    return values[0]
 
 
 def joint_topics(reader: BagReader, declared: Sequence[Measurement]) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 from impact_observer.dynamics import mechanism_of
 from impact_observer.events import Contacts
 from impact_observer.io import interfaces
+from impact_observer.io.measured_samples import number_in
 from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.io.typestores import blank
 from impact_observer.message_fields import FieldPath
@@ -80,8 +81,8 @@ def type_of(measurement: Measurement) -> str:
     """The type of the messages that a simulated sensor publishes.
 
     Raises:
-        UsageError: by file and key: no type that can be simulated has such a field, or it has no
-            header though that is wanted.
+        UsageError: by file and key: no type that can be simulated has a number in such a field, or
+            it has no header though that is wanted.
     """
     if measurement.joint:
         return interfaces.JOINT_STATE
@@ -93,6 +94,7 @@ def type_of(measurement: Measurement) -> str:
         raise measurement.wrong(
             "stamp", f"header found, but {type_name} has none; expected receive"
         )
+    number_in(blank(type_name), measurement)
     return type_name
 
 
@@ -158,7 +160,7 @@ class SampleSimulation:
             if (known := shared.get(key)) is not None:
                 _add_joint(known, declared, sample.value, efforts)
                 continue
-            message = self._message(declared, late, sample.value)
+            message = self._message(topic, declared, late, sample.value)
             if efforts and declared.joint:
                 message.effort = np.array([efforts[declared.joint]])
                 shared[key] = message
@@ -207,8 +209,8 @@ class SampleSimulation:
         pull: Vector = (after - before)[self._system.n :] / (2e-9 * _HALF_STEP)
         return pull
 
-    def _message(self, declared: Measurement, stamp: int, value: float) -> AnyMessage:
-        message = self._new(type_of(declared))
+    def _message(self, topic: str, declared: Measurement, stamp: int, value: float) -> AnyMessage:
+        message = self._new(self.types[topic])
         time = bag_messages().time(stamp)
         if hasattr(message, "header"):
             message.header.stamp.sec, message.header.stamp.nanosec = time.sec, time.nanosec
@@ -251,11 +253,8 @@ def _add_joint(
 
 
 def _put(message: AnyMessage, path: FieldPath, value: float) -> None:
-    """Set the number at ``path``."""
-    *outer, last = path
-    for part in outer:
-        message = message[part] if isinstance(part, int) else getattr(message, part)
-    if isinstance(last, int):
-        message[last] = value
-    else:
-        setattr(message, last, value)
+    """Set the number at ``path``, all of whose parts are names."""
+    *outer, last = map(str, path)
+    for name in outer:
+        message = getattr(message, name)
+    setattr(message, last, value)

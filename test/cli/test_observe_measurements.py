@@ -221,8 +221,12 @@ def test_what_cannot_be_simulated_is_one_line(
     (tmp_path / "b.yaml").write_text(
         "measurements: [{name: b, topic: /b, field: data, gap: stop, deviation: learn}]"
     )
+    (tmp_path / "c.yaml").write_text(
+        "measurements: [{name: c, topic: /c, field: 'data[0]', gap: stop, deviation: 1}]"
+    )
     for given, error in (
         (["--measurements", str(tmp_path / "a.yaml")], "a.yaml: measurements[0].field: odd.x"),
+        (["--measurements", str(tmp_path / "c.yaml")], "c.yaml: measurements[0].field: /c: data"),
         (["--measurements", str(tmp_path / "b.yaml")], "b.yaml: measurements[0].deviation: learn"),
         (["--measurement-rate", "0.1"], "measurement_rate: given without --measurements"),
     ):
