@@ -50,9 +50,7 @@ def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
         samples, problems, *_ = samples_in(reader, sensors)
         arrivals = [log_time for log_time, _ in reader.messages("/laser")]
         truth = reader.joint_states(reader.truth_topic() or "")
-        types = {
-            each: reader.topics[each].type for each in ("/encoder", "/laser", "/imu", "/probe")
-        }
+        types = {topic: info.type for topic, info in reader.topics.items()}
     assert not problems
     assert types["/laser"] == "sensor_msgs/msg/Range"
     assert types["/imu"] == "sensor_msgs/msg/Imu"
@@ -215,15 +213,9 @@ def test_what_cannot_be_simulated_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A field of no known type, a deviation that is no number, faults of nothing."""
-    (tmp_path / "a.yaml").write_text(
-        "measurements: [{name: a, topic: /a, field: odd.x, gap: stop, deviation: 1}]"
-    )
-    (tmp_path / "b.yaml").write_text(
-        "measurements: [{name: b, topic: /b, field: data, gap: stop, deviation: learn}]"
-    )
-    (tmp_path / "c.yaml").write_text(
-        "measurements: [{name: c, topic: /c, field: 'data[0]', gap: stop, deviation: 1}]"
-    )
+    for name, field, size in (("a", "odd.x", 1), ("b", "data", "learn"), ("c", "'data[0]'", 1)):
+        each = f"name: {name}, topic: /{name}, field: {field}, gap: stop, deviation: {size}"
+        (tmp_path / f"{name}.yaml").write_text(f"measurements: [{{{each}}}]")
     for given, error in (
         (["--measurements", str(tmp_path / "a.yaml")], "a.yaml: measurements[0].field: odd.x"),
         (["--measurements", str(tmp_path / "c.yaml")], "c.yaml: measurements[0].field: /c: data"),
