@@ -30,10 +30,6 @@ PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOI
 """Topics that ``write_run`` writes, and ``observe_bag`` copies."""
 
 
-INTEGRATOR = "integrator"
-"""Key of the provenance of a model that a simulated plant has published."""
-
-
 def published_model(
     model: Model,
     seed: int,
@@ -49,7 +45,7 @@ def published_model(
         "package": "impact_observer",
         "version": __version__,
         "seed": seed,
-        INTEGRATOR: "event-driven",
+        "integrator": "event-driven",
     }
     if sensor.faults:
         provenance["sensor"] = sensor.faults
