@@ -39,7 +39,7 @@ def storage_of(path: Path) -> str:
     if not path.is_dir():
         if path.suffix in _STORAGES:
             return _STORAGES[path.suffix]
-        remedy = "`import` makes one of a table of impact times, `detect` of a signal"
+        remedy = "`import` makes one of a table of times, `detect` of a signal, as CSV or WAV"
         raise UnfitBagError(f"{path}: not a bag; expected {_FORMS}; {remedy}")
     # A file that was compressed as a whole has two suffixes.
     suffixes = {each for file in path.iterdir() for each in file.suffixes}
