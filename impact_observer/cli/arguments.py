@@ -3,12 +3,11 @@
 
 import argparse
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from impact_observer.errors import UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
@@ -245,111 +244,93 @@ def number(text: str) -> float:
     return value
 
 
-class Argument(NamedTuple):
-    """An argument that several commands have.
-
-    Attributes:
-        flags: its name, or its flags with a slash between them.
-        meaning: for ``--help``.
-        metavar: name of the value in ``--help``.
-        type: reads the value.
-        more: what else ``add_argument`` takes.
-    """
-
-    flags: str
-    meaning: str
-    metavar: str | None = None
-    type: Callable[[str], object] = str
-    more: Mapping[str, Any] = MappingProxyType({})
-
-
-_SWITCH = {"action": "store_true"}
-SHARED = {
-    "bag": Argument("bag", "a bag's folder, or a bare file", "BAG", Path),
-    "rig": Argument("model", "a model file, or a sample: two_mass, ...", "MODEL"),
-    "model": Argument(
-        "--model", "a model file or a sample (default: the one in the bag)", "MODEL"
-    ),
-    "measurements": Argument(
-        "--measurements", "what sensors measure beside the impacts: a file or a sample", "FILE"
-    ),
-    "rate": Argument("--rate", "estimates, Hz (default: as the truth)", "HZ", positive),
-    "start": Argument(
-        "--start",
-        "beginning of the part that is read, s after the epoch, or without one after the first"
-        " impact (default: from the beginning)",
-        "S",
-        not_negative,
-    ),
-    "duration": Argument(
-        "--duration", "length of the part that is read, s (default: to the end)", "S", positive
-    ),
-    "epoch": Argument(
-        "--epoch", "stamp of t = 0 of the forcing (default: that of the file's time 0)", "S", stamp
-    ),
-    "clock-error": Argument(
-        "--clock-error",
-        "standard deviation of the stamps, s; negative: estimated from them (default -1)",
-        "S",
-        number,
-        {"default": -1.0},
-    ),
-    "sources": Argument(
-        "--sources",
-        "the sensors (docs/detector.md), and under `table` how a table is to be read",
-        "FILE",
-        Path,
-    ),
-    "seed": Argument("--seed", "of all that is random (default 0)", "N", seed, {"default": 0}),
-    "topics": Argument(
-        "--topics", "these topics only (default: all)", "TOPIC", str, {"nargs": "+"}
-    ),
-    "output": Argument("-o/--output", "the folder to make", "BAG", Path, {"required": True}),
-    "plot": Argument("--plot", "a picture to make: PNG, SVG or PDF", "FILE", Path),
-    "json": Argument("--json", "print the results as JSON", more=_SWITCH),
-    "time-zero": Argument(
-        "--time-zero",
-        "stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
-        "S",
-        stamp_or_zero,
-    ),
-    "time-column": Argument(
-        "--time-column",
-        "of the column of time (default: time, or one such as t, Timestamp (ms), seconds)",
-        "NAME",
-    ),
-    "frame-rate": Argument(
-        "--frame-rate",
-        "makes times of a column of frames or samples, such as 240 or 30000/1001; without such a"
-        " column and without times the rows of a signal are counted",
-        "HZ",
-        rate,
-    ),
-    "time-unit": Argument(
-        "--time-unit",
-        "of the times (default: that in the header, else s)",
-        more={"choices": ("s", "ms", "us", "ns", "min", "h")},
-    ),
-    "skip-rows": Argument(
-        "--skip-rows",
-        "lines at the beginning that are not read (default: those above the header)",
-        "N",
-        seed,
-        {"default": 0},
-    ),
-    "sort": Argument("--sort", "the rows may be in any order", more=_SWITCH),
-    "separator": Argument(
-        "--separator",
-        "of columns (default: the one that makes most rows alike)",
-        more={"choices": ("tab", "semicolon", "comma", "blank")},
-    ),
-    "decimal": Argument(
-        "--decimal",
-        "of numbers (default: either, but point where commas separate columns)",
-        more={"choices": ("point", "comma")},
-    ),
+SHARED: dict[str, dict[str, Any]] = {
+    "bag": {"metavar": "BAG", "type": Path, "help": "a bag's folder, or a bare file"},
+    "rig": {"metavar": "MODEL", "help": "a model file, or a sample: two_mass, ..."},
+    "model": {
+        "metavar": "MODEL",
+        "help": "a model file or a sample (default: the one in the bag)",
+    },
+    "measurements": {
+        "metavar": "FILE",
+        "help": "what sensors measure beside the impacts: a file or a sample",
+    },
+    "rate": {"metavar": "HZ", "type": positive, "help": "estimates, Hz (default: as the truth)"},
+    "start": {
+        "metavar": "S",
+        "type": not_negative,
+        "help": "beginning of the part that is read, s after the epoch, or without one after the"
+        " first impact (default: from the beginning)",
+    },
+    "duration": {
+        "metavar": "S",
+        "type": positive,
+        "help": "length of the part that is read, s (default: to the end)",
+    },
+    "epoch": {
+        "metavar": "S",
+        "type": stamp,
+        "help": "stamp of t = 0 of the forcing (default: that of the file's time 0)",
+    },
+    "clock-error": {
+        "metavar": "S",
+        "type": number,
+        "default": -1.0,
+        "help": "standard deviation of the stamps, s; negative: estimated from them (default -1)",
+    },
+    "sources": {
+        "metavar": "FILE",
+        "type": Path,
+        "help": "the sensors (docs/detector.md), and under `table` how a table is to be read",
+    },
+    "seed": {
+        "metavar": "N",
+        "type": seed,
+        "default": 0,
+        "help": "of all that is random (default 0)",
+    },
+    "topics": {"metavar": "TOPIC", "nargs": "+", "help": "these topics only (default: all)"},
+    "output": {"metavar": "BAG", "type": Path, "required": True, "help": "the folder to make"},
+    "plot": {"metavar": "FILE", "type": Path, "help": "a picture to make: PNG, SVG or PDF"},
+    "json": {"action": "store_true", "help": "print the results as JSON"},
+    "time-zero": {
+        "metavar": "S",
+        "type": stamp_or_zero,
+        "help": "stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
+    },
+    "time-column": {
+        "metavar": "NAME",
+        "help": "of the column of time (default: time, or one such as t, Timestamp (ms), seconds)",
+    },
+    "frame-rate": {
+        "metavar": "HZ",
+        "type": rate,
+        "help": "makes times of a column of frames or samples, such as 240 or 30000/1001; without"
+        " such a column and without times the rows of a signal are counted",
+    },
+    "time-unit": {
+        "choices": ("s", "ms", "us", "ns", "min", "h"),
+        "help": "of the times (default: that in the header, else s)",
+    },
+    "skip-rows": {
+        "metavar": "N",
+        "type": seed,
+        "default": 0,
+        "help": "lines at the beginning that are not read (default: those above the header)",
+    },
+    "sort": {"action": "store_true", "help": "the rows may be in any order"},
+    "separator": {
+        "choices": ("tab", "semicolon", "comma", "blank"),
+        "help": "of columns (default: the one that makes most rows alike)",
+    },
+    "decimal": {
+        "choices": ("point", "comma"),
+        "help": "of numbers (default: either, but point where commas separate columns)",
+    },
 }
-"""By name; a name with hyphens is a flag."""
+"""How ``add_argument`` adds the arguments that several commands have."""
+_FLAGS = {"bag": ("bag",), "rig": ("model",), "output": ("-o", "--output")}
+"""Flags of arguments that are not called by their names."""
 PART = ("start", "duration")
 """The part of a bag that a command reads."""
 TABLE = ("time-zero", "time-column", "frame-rate")
@@ -360,8 +341,6 @@ UNUSUAL_TABLE = ("time-unit", "skip-rows", "sort", "separator", "decimal")
 def add_shared(parser: "argparse._ActionsContainer", *names: str, **meanings: str) -> None:
     """Add arguments of ``SHARED`` by their names; ``meanings`` are other texts of ``--help``."""
     for name in names:
-        flags, meaning, metavar, kind, more = SHARED[name]
-        how: dict[str, Any] = {"help": meanings.get(name.replace("-", "_"), meaning), **more}
-        if metavar is not None:
-            how |= {"metavar": metavar, "type": kind}
-        parser.add_argument(*flags.split("/"), **how)
+        flags = _FLAGS.get(name, (f"--{name}",))
+        meaning = meanings.get(name.replace("-", "_"), SHARED[name]["help"])
+        parser.add_argument(*flags, **{**SHARED[name], "help": meaning})

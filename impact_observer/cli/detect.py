@@ -12,7 +12,6 @@ a signal is its column, or its channel (channel1); a single one need not be name
 
 import argparse
 import re
-from itertools import islice
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import PART, TABLE, add_shared, table_form
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from impact_observer.draw.reports import TextTable
     from impact_observer.model import Model
 
-_MOST_REMARKS = 3
 _TEXTS = {
     "contact": "name of the contact in the model (default: the only one of --model)",
     "topic": "where its sensor publishes; of a signal, its column (default: the only one)",
@@ -76,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import print_table
     from impact_observer.errors import UsageError
-    from impact_observer.io.bag_topics import SIGNAL_FILES
+    from impact_observer.io.bag_files import SIGNAL_FILES
     from impact_observer.model import read_model
     from impact_observer.output_files import check_output
 
@@ -92,8 +90,7 @@ def run(args: argparse.Namespace) -> int:
         if result.part is not None:
             progress.line(f"part: {result.part.words}")
         progress.line(f"{args.output}: {result.events} events")
-        for line in islice((*result.doubts, *result.problems), _MOST_REMARKS):
-            progress.line(f"warning: {line}")
+        progress.warn([*result.doubts, *result.problems])
         if args.plot is not None and result.zero is not None:
             from impact_observer.draw.detections import detection_picture
             from impact_observer.draw.pictures import save

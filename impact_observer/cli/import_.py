@@ -54,8 +54,7 @@ def run(args: argparse.Namespace) -> int:
             progress=show,
         )
         progress.line(f"{args.output}: {_summary(imported)}")
-        for line in imported.remarks:
-            progress.line(f"warning: {line}")
+        progress.warn(imported.remarks)
         if imported.ignored:
             progress.line(f"note: columns left out: {', '.join(imported.ignored)}")
     return 0
@@ -67,14 +66,13 @@ def _summary(imported: "Imported") -> str:
     from impact_observer.stamps import text
 
     first, last = imported.events[0], imported.events[-1]
-    span = f"stamps {text(first.stamp)} to {text(last.stamp)} s"
-    zero = f"time 0 is stamp {text(imported.start)} s"
-    epoch = f"epoch {text(first.epoch)} s" if first.epoch else "epoch unknown"
-    if not (first.epoch or imported.start):
-        epoch += ", as a stamp of 0 is none (--time-zero 1 makes time 0 a stamp)"
     events = f"{counted(len(imported.events), 'event')} of {counted(imported.rows, 'row')}"
-    events += f", {imported.times}"
-    states = f", {imported.states} true states" if imported.states else ""
-    for topic, count in imported.samples.items():
-        states += f", {counted(count, 'sample')} on {topic}"
-    return f"{events}{states}, {span}; {zero}, {epoch}"
+    words = [events, imported.times]
+    if imported.states:
+        words.append(f"{imported.states} true states")
+    words += [f"{counted(n, 'sample')} on {topic}" for topic, n in imported.samples.items()]
+    words.append(f"stamps {text(first.stamp)} to {text(last.stamp)} s")
+    epoch = (
+        f"epoch {text(first.epoch)} s" if first.epoch else "epoch unknown (--epoch, --time-zero)"
+    )
+    return f"{', '.join(words)}; time 0 is stamp {text(imported.start)} s, {epoch}"

@@ -25,7 +25,6 @@ _COMPONENTS = 12
 """Most positions and velocities in the table of deviations."""
 _DOUBTED, _FEW = 0.25, 5
 """Share of the events, and least number of them, whose rejection makes the model doubtful."""
-MOST_REMARKS = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import print_table
     from impact_observer.io.bag_part import assumed_epoch, read_impacts_part
-    from impact_observer.io.measured_samples import MeasuredTopics
+    from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.observed_bag import events_from, observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
@@ -57,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
-        measured = MeasuredTopics.read(reader, sensors)
+        measured = samples_in(reader, sensors)
         used = measured.samples if law_named(chosen.law).uses_measurements else ()
         events = events_from(reader, chosen.epoch)
         assumed = assumed_epoch(read.subject, events, used, chosen.epoch)
@@ -83,9 +82,7 @@ def run(args: argparse.Namespace) -> int:
         tables = components(observer), parameters(read, observer), samples(observer)
         for table in (each for each in tables if each.rows):
             print_table(table)
-        warnings += remarks(read, observer, rulings)
-        for line in islice(warnings, MOST_REMARKS):
-            progress.line(f"warning: {line}")
+        progress.warn([*warnings, *remarks(read, observer, rulings)])
     return 0
 
 

@@ -3,6 +3,8 @@
 
 import sys
 import time
+from collections.abc import Iterable
+from itertools import islice
 from types import TracebackType
 from typing import final
 
@@ -20,6 +22,7 @@ from impact_observer.plain_text import printable, say
 
 _PERIOD = 0.1
 """Least time between two updates of the bar, s: a tight loop may call more often."""
+_MOST_WARNINGS = 3
 _LINES = 10.0
 """Time between two lines where standard error is no terminal, s."""
 
@@ -93,3 +96,8 @@ class Progress:
     def line(text: str) -> None:
         """Write a permanent line to standard output; control characters are escaped."""
         say(printable(text))
+
+    def warn(self, lines: Iterable[str]) -> None:
+        """Write the first three different lines as warnings."""
+        for line in islice(dict.fromkeys(lines), _MOST_WARNINGS):
+            self.line(f"warning: {line}")

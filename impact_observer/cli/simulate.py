@@ -3,7 +3,6 @@
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,6 @@ from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from impact_observer.events import ImpactEvent
     from impact_observer.model.multibody import Multibody
     from impact_observer.plant import Run
 
@@ -47,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
     from impact_observer import plant
     from impact_observer.cli.progress import Progress
+    from impact_observer.events import Kind
     from impact_observer.io.recordings import write_run
     from impact_observer.io.simulated_samples import (
         SampleSimulation,
@@ -57,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.model import read_model
     from impact_observer.model.measurement import read_measurements
     from impact_observer.model.multibody import multibody_of
+    from impact_observer.observer.event_order import impacts_of
     from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 
     check_free(args.output)
@@ -98,17 +98,17 @@ def run(args: argparse.Namespace) -> int:
             system=system,
             progress=partial(show, f"writing {args.output}"),
         )
-        faults = [
-            *sensor.faults,
-            *(["own errors of contacts"] if model.sensors.by_contact else []),
-        ]
-        of_sensor = f", {len(events)} events of a sensor with {', '.join(faults)}"
-        of_sensor += f": {_counts(events)}"
-        progress.line(
-            f"{args.output}: {system.name}, {duration:g} s, {_counts(done.events)},"
-            f" {stamps.size} true states{of_sensor if faults else ''}"
-            f"{f', {len(samples)} samples' if sensors else ''}"
-        )
+        kinds = Counter(kind for *_, kind in impacts_of(done.events))
+        words = [system.name, f"{duration:g} s", f"{kinds.total()} impacts"]
+        if kinds[Kind.CLOSE]:
+            words.append(f"{kinds[Kind.CLOSE]} of them persistent")
+        words.append(f"{stamps.size} true states")
+        own = ["own errors of contacts"] if model.sensors.by_contact else []
+        if faults := [*sensor.faults, *own]:
+            words.append(f"{len(events)} events of a sensor with {', '.join(faults)}")
+        if sensors:
+            words.append(f"{len(samples)} samples")
+        progress.line(f"{args.output}: {', '.join(words)}")
         for line in _remarks(done, true.system, duration):
             progress.line(line)
     return 0
@@ -123,16 +123,3 @@ def _remarks(run: "Run", system: "Multibody", seconds: float) -> "Iterator[str]"
     if not run.switchings and system.m:
         gap, contact = run.nearest(system)
         yield f"note: no contact closed: smallest gap {gap:.3g} {system.gap_unit}, at {contact}"
-
-
-def _counts(events: "Sequence[ImpactEvent]") -> str:
-    """Number of impacts and openings of the contacts, in words; ``check`` counts impacts alike."""
-    from impact_observer.events import Kind
-    from impact_observer.observer.event_order import impacts_of
-
-    kinds = Counter(kind for *_, kind in impacts_of(events))
-    released = sum(switch.kind is Kind.OPEN for each in {*events} for switch in each.switches)
-    words = f"{kinds[Kind.IMPACT] + kinds[Kind.CLOSE]} impacts"
-    if kinds[Kind.CLOSE] or released:
-        words += f" ({kinds[Kind.CLOSE]} of them persistent, {released} releases)"
-    return words

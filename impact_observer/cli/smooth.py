@@ -7,7 +7,6 @@ owner /smoother: state, joint_states, verdicts, impacts.
 """
 
 import argparse
-from itertools import islice
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
@@ -47,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
     from impact_observer.batch.smooth_bag import smooth_bag
-    from impact_observer.cli.observe import MOST_REMARKS, fitted_to, in_words
+    from impact_observer.cli.observe import fitted_to, in_words
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import print_table
     from impact_observer.io.bag_part import read_impacts_part
@@ -82,8 +81,7 @@ def run(args: argparse.Namespace) -> int:
             if each.misfit:
                 warnings.append(f"the model does not explain the impacts: {each.misfit}")
             warnings += fitted_to(read, (key.stamp for key in each.run.keys))
-        for line in islice(dict.fromkeys(warnings), MOST_REMARKS):
-            progress.line(f"warning: {line}")
+        progress.warn(warnings)
     return 0
 
 

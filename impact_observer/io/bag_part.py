@@ -8,7 +8,7 @@ from typing import NamedTuple
 from impact_observer.errors import UnfitBagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
-from impact_observer.io.live_inputs import epoch_in, first_pulse
+from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.measured_samples import received_topics
 from impact_observer.io.reader import BagReader, first_stamp, states_of
 from impact_observer.io.recordings import epoch_of
@@ -32,10 +32,12 @@ class TimeZero(NamedTuple):
     Attributes:
         stamp: of the instant, ns.
         instant: in words, such as ``EPOCH``.
+        note: a line on what is taken for the epoch, where nothing says it; else empty.
     """
 
     stamp: int
     instant: str = EPOCH
+    note: str = ""
 
     @property
     def axis(self) -> str:
@@ -60,7 +62,7 @@ def time_zero(reader: BagReader, epoch: int | None = None) -> TimeZero:
     with reader.whole_bag():
         topic = reader.find(interfaces.IMPACTS)
         events = [] if topic is None else [*reader.events(topic)]
-        if known := epoch_in(reader, events):
+        if known := epoch_of(events) or first_pulse(reader):
             return TimeZero(known)
         if events:
             return TimeZero(min(each.stamp for each in events), FIRST_IMPACT)
@@ -83,28 +85,16 @@ def sensor_zero(reader: BagReader, topics: Collection[str], epoch: int = 0) -> T
         return TimeZero(min(reader.all_stamps(topics), default=0), FIRST_MESSAGE)
 
 
-class AssumedEpoch(NamedTuple):
-    """What is taken for the epoch where nothing says it.
-
-    Attributes:
-        stamp: of the first sample, at which the initial state holds, ns. 0 where an epoch is
-            known, or no sample comes before the first impact.
-        note: a line on time zero; empty where an epoch is known.
-        instant: the instant from which a fit of all events counts time, in words.
-    """
-
-    stamp: int = 0
-    note: str = ""
-    instant: str = EPOCH
-
-
 def assumed_epoch(
     system: System | RobotDescription,
     events: Sequence[ImpactEvent],
     samples: Sequence[SensorSample],
     epoch: int,
-) -> AssumedEpoch:
-    """The first of the ``samples`` that come before all ``events``, if no epoch is known.
+) -> TimeZero:
+    """What is taken for the epoch: the first of the ``samples`` that come before all ``events``.
+
+    Its stamp, at which the initial state holds, is 0 where an epoch is known, and where no sample
+    comes before the first impact.
 
     Where nothing depends on time, the epoch is only the instant of the initial state, and any
     instant will do.
@@ -116,16 +106,16 @@ def assumed_epoch(
         epoch: the epoch that is given, ns; 0 for none.
     """
     if epoch or epoch_of(events) or not events:
-        return AssumedEpoch()
+        return TimeZero(0)
     first = min(each.stamp for each in events)
     note = f"no epoch, so time zero is the first impact, {text(first)} s"
     early = sum(each.stamp < first for each in samples)
     if not early or system.depends_on_time:
-        return AssumedEpoch(0, note, FIRST_IMPACT)
+        return TimeZero(0, FIRST_IMPACT, note)
     start = max(samples[0].stamp, 1)
     samples_before = f"{early} of {len(samples)} samples come before it"
     holds = f"the initial state holds at the first of them, {text(start)} s"
-    return AssumedEpoch(start, f"{note}; {samples_before}, and {holds}", FIRST_SAMPLE)
+    return TimeZero(start, FIRST_SAMPLE, f"{note}; {samples_before}, and {holds}")
 
 
 class BagPart(NamedTuple):

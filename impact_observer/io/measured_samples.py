@@ -3,7 +3,7 @@
 
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 from impact_observer.errors import UsageError
@@ -41,7 +41,6 @@ class SensorReader:
         """
         self.measurement, self.index = measurement, index
         self._delay = from_seconds(measurement.delay)
-        self._path = measurement.path() if measurement.field else ()
         if measurement.joint and type_name != interfaces.JOINT_STATE:
             problem = f"{measurement.topic} is {type_name}, which has no joints"
             expected = f"expected {interfaces.JOINT_STATE}, or field"
@@ -64,7 +63,7 @@ class SensorReader:
                 problem = f"header found, but a message of {given.topic} has no stamp in one"
                 raise given.wrong("stamp", f"{problem}; expected receive")
             stamp = received
-        value = self._of_joint(message) if given.joint else self._of_field(message)
+        value = self._of_joint(message) if given.joint else number_in(message, given)
         return None if value is None else SensorSample(self.index, stamp - self._delay, value)
 
     def _of_joint(self, message: AnyMessage) -> float | None:
@@ -75,16 +74,21 @@ class SensorReader:
         i = list(message.name).index(given.joint)
         return float(values[i]) if i < len(values) else None
 
-    def _of_field(self, message: AnyMessage) -> float:
-        given = self.measurement
-        try:
-            values = numbers_at(message, self._path)
-        except ValueError as error:
-            raise given.wrong("field", f"{given.topic}: {error}") from None
-        if len(values) != 1:
-            problem = f"{given.field} found, {len(values)} numbers; name one of them"
-            raise given.wrong("field", problem)
-        return values[0]
+
+def number_in(message: AnyMessage, measurement: Measurement) -> float:
+    """The number in the field of a sensor.
+
+    Raises:
+        UsageError: by file and key: the message has no such field, or other than one number in it.
+    """
+    try:
+        values = numbers_at(message, measurement.path())
+    except ValueError as error:
+        raise measurement.wrong("field", f"{measurement.topic}: {error}") from None
+    if len(values) != 1:
+        problem = f"{measurement.field} found, {len(values)} numbers; name one of them"
+        raise measurement.wrong("field", problem)
+    return values[0]
 
 
 def joint_topics(reader: BagReader, declared: Sequence[Measurement]) -> list[str]:
@@ -100,56 +104,22 @@ def joint_topics(reader: BagReader, declared: Sequence[Measurement]) -> list[str
 
 
 class RecordedSamples(NamedTuple):
-    """The samples of a bag.
+    """The samples of sensors in a bag.
 
     Attributes:
         samples: by stamp.
-        arrivals: time of recording of each sample, ns.
         problems: a line for each problem.
-    """
-
-    samples: list[SensorSample]
-    arrivals: list[int]
-    problems: list[str]
-
-
-class MeasuredTopics(NamedTuple):
-    """The samples of sensors in a bag, for ``observe_bag``.
-
-    Attributes:
-        samples: in order of their stamps.
-        topics: topics of the sensors, to be copied.
-        published: names of the sensors whose verdicts are written.
-        problems: a line for each problem.
+        topics: those of the sensors.
+        published: names of the sensors on whose samples verdicts are published.
     """
 
     samples: Sequence[SensorSample] = ()
+    problems: Sequence[str] = ()
     topics: Sequence[str] = ()
     published: frozenset[str] = frozenset()
-    problems: Sequence[str] = ()
-
-    @classmethod
-    def read(cls, reader: BagReader, measurements: Sequence[Measurement]) -> "MeasuredTopics":
-        """Read the samples of a bag.
-
-        Raises:
-            UsageError, BagError: as ``samples_in``.
-        """
-        if not measurements:
-            return cls()
-        samples, _, problems = samples_in(reader, measurements)
-        topics = [t for each in measurements if (t := topic_in(reader, each)) is not None]
-        stamps: dict[int, list[int]] = {}
-        for each in samples:
-            stamps.setdefault(each.sensor, []).append(each.stamp)
-        loud = {measurements[i].name for i, own in stamps.items() if rate_of(own) <= SILENT_RATE}
-        return cls(samples, [*dict.fromkeys(topics)], frozenset(loud), problems)
 
 
-def rate_of(stamps: Sequence[int]) -> float:
-    """The mean rate of samples at ``stamps`` (ns), ascending, Hz; 0 for a single sample."""
-    span = stamps[-1] - stamps[0] if stamps else 0
-    return (len(stamps) - 1) * NS_PER_S / span if span else 0.0
+NO_SENSORS = RecordedSamples()
 
 
 def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> RecordedSamples:
@@ -159,8 +129,9 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
         UsageError: by file and key, where a field or a joint is not there; or no sensor is.
         BagError: the bag is damaged.
     """
-    received, problems = list[tuple[int, SensorSample]](), list[str]()
-    for topic, readers in _by_topic(reader, measurements, problems).items():
+    samples, problems, published = list[SensorSample](), list[str](), set[str]()
+    by_topic = _by_topic(reader, measurements, problems)
+    for topic, readers in by_topic.items():
         own = [*reader.messages(topic)]
         for each in readers:
             made, lost = _read(each, own)
@@ -172,13 +143,21 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
                 raise given.wrong("joint", f"{problem}; {first}{remedy}")
             kept = _of_clock(made)
             lost["stamped far from all others"] = len(made) - len(kept)
-            lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for _, s in kept)
+            lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for s in kept)
             for why, count in (+lost).items():
                 part = part_left_out(count, len(own), f"messages on {topic}", why)
                 problems.append(f"{each.measurement.name}: {part}")
-            received += kept
-    received.sort(key=lambda item: (item[1].stamp, item[1].sensor))
-    return RecordedSamples([s for _, s in received], [at for at, _ in received], problems)
+            samples += kept
+            if _rate([sample.stamp for sample in kept]) <= SILENT_RATE:
+                published.add(each.measurement.name)
+    samples.sort(key=lambda sample: (sample.stamp, sample.sensor))
+    return RecordedSamples(samples, problems, [*by_topic], frozenset(published))
+
+
+def _rate(stamps: Collection[int]) -> float:
+    """The mean rate of samples, Hz; 0 for a single sample."""
+    span = max(stamps, default=0) - min(stamps, default=0)
+    return (len(stamps) - 1) * NS_PER_S / span if span else 0.0
 
 
 def _read(
@@ -229,10 +208,8 @@ def received_topics(reader: BagReader, measurements: Sequence[Measurement]) -> l
     return [topic for topic in topics if topic is not None]
 
 
-def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[tuple[int, SensorSample]]:
+def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[SensorSample]:
     """The samples whose delay from stamp to reception is within a minute of the median delay."""
-    if not samples:
-        return samples
-    usual = statistics.median(at - sample.stamp for at, sample in samples)
+    usual = statistics.median(at - sample.stamp for at, sample in samples) if samples else 0
     most = _MOST_DELAY * NS_PER_S
-    return [each for each in samples if abs(each[0] - each[1].stamp - usual) <= most]
+    return [sample for at, sample in samples if abs(at - sample.stamp - usual) <= most]

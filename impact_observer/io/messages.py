@@ -227,36 +227,26 @@ class Messages:
 
     def joint_state(self, state: JointState) -> AnyMessage:
         """``state`` as ``sensor_msgs/JointState``, without efforts."""
-        n = len(state.names)
-        return self._classes(interfaces.JOINT_STATE)(
-            header=self._header("JointState", state.stamp),
-            name=list(state.names),
-            position=self._array("JointState.position", state.q, n),
-            velocity=self._array("JointState.velocity", state.u, n),
-            effort=self._floats(np.empty(0)),
-        )
+        return self._joints(state.stamp, state.names, position=state.q, velocity=state.u)
 
     def positions(self, stamp: int, names: Sequence[str], values: ArrayLike) -> AnyMessage:
         """Numbers by name as the positions of ``sensor_msgs/JointState``, without velocities."""
-        nothing = self._floats(np.empty(0))
-        return self._classes(interfaces.JOINT_STATE)(
-            header=self._header("JointState", stamp),
-            name=list(names),
-            position=self._array("JointState.position", values, len(names)),
-            velocity=nothing,
-            effort=nothing,
-        )
+        return self._joints(stamp, names, position=values)
 
     def forces(self, stamp: int, forces: Mapping[str, float]) -> AnyMessage:
         """Forces of inputs by name, N, as ``sensor_msgs/JointState`` with efforts only."""
-        nothing, values = self._floats(np.empty(0)), np.array(list(forces.values()), dtype=float)
-        return self._classes(interfaces.JOINT_STATE)(
-            header=self._header("JointState", stamp),
-            name=list(forces),
-            position=nothing,
-            velocity=nothing,
-            effort=self._array("JointState.effort", values, len(forces)),
-        )
+        return self._joints(stamp, [*forces], effort=[*forces.values()])
+
+    def _joints(self, stamp: int, names: Sequence[str], **given: ArrayLike) -> AnyMessage:
+        """A ``sensor_msgs/JointState`` with the ``given`` fields, of a number for each name."""
+        header = self._header("JointState", stamp)
+        fields = {
+            key: self._array(f"JointState.{key}", given[key], len(names))
+            if key in given
+            else self._floats(np.empty(0))
+            for key in ("position", "velocity", "effort")
+        }
+        return self._classes(interfaces.JOINT_STATE)(header=header, name=list(names), **fields)
 
     def estimate_error(self, error: EstimateError) -> AnyMessage:
         """``error`` as ``impact_observer_msgs/EstimateError``."""
@@ -377,15 +367,6 @@ def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
     return _read_mirrored(ImpactEstimate, interfaces.IMPACT_ESTIMATE, message)
 
 
-def read_measurement_verdict(message: AnyMessage) -> MeasurementVerdict:
-    """The verdict on a sample in a message.
-
-    Raises:
-        MessageError: its stamp is not after 0, or a number is not finite.
-    """
-    return _read_mirrored(MeasurementVerdict, interfaces.MEASUREMENT_VERDICT, message)
-
-
 def _read_mirrored(kind: type[_Mirrored], type_name: str, message: AnyMessage) -> _Mirrored:
     """The value in a message that ``Messages`` has made of it."""
     name, fields = type_name.rpartition("/")[2], dict[str, Any]()
@@ -446,6 +427,29 @@ def read_joint_state(message: AnyMessage) -> JointState:
         q=frozen(_numbers("JointState.position", message.position, n)),
         u=frozen(_numbers("JointState.velocity", message.velocity, n)),
     )
+
+
+def read_efforts(message: AnyMessage) -> list[tuple[str, int, float]]:
+    """Names, stamps (ns) and values (N) of the forces in a ``sensor_msgs/JointState``.
+
+    Raises:
+        MessageError: its stamp is not after 0, or there is not one effort for each name.
+    """
+    stamp = read_stamp("JointState.header.stamp", message.header.stamp)
+    if len(message.effort) != len(message.name):
+        found = f"{len(message.effort)} numbers for {len(message.name)} names"
+        raise MessageError(f"JointState.effort: {found}; expected one each")
+    forces = zip(message.name, message.effort, strict=True)
+    return [(str(name), stamp, float(value)) for name, value in forces]
+
+
+def read_pulse(message: AnyMessage) -> int:
+    """The stamp of a ``std_msgs/Header``, at which the phase of the drive is zero, ns.
+
+    Raises:
+        MessageError: it is not after 0.
+    """
+    return read_stamp("Header.stamp", message.stamp)
 
 
 def _check_stamp(field: str, stamp: int, earliest: int = 1) -> None:

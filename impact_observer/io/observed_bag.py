@@ -2,12 +2,12 @@
 """Runs an observer on the events of a bag, and writes a bag with its estimates."""
 
 import heapq
-import shutil
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from operator import attrgetter, itemgetter
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,28 +22,30 @@ from impact_observer.events import (
     rejected_impacts,
 )
 from impact_observer.io import interfaces
-from impact_observer.io.estimate_messages import OBSERVER, in_log_order, messages_of
-from impact_observer.io.live_inputs import LIVE_TOPICS, first_pulse, give_efforts, give_recorded
-from impact_observer.io.measured_samples import MeasuredTopics
-from impact_observer.io.messages import bag_messages
+from impact_observer.io.interfaces import Interface
+from impact_observer.io.live_inputs import efforts_on, first_pulse, give_recorded
+from impact_observer.io.measured_samples import NO_SENSORS, RecordedSamples
+from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
 from impact_observer.io.writer import BagWriter
 from impact_observer.model import System
-from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
 from impact_observer.observer.replay import Impacts, noting_impacts
 from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import grid, text
-from impact_observer.states import Estimates, Stamps
+from impact_observer.states import Estimate, Estimates, Stamps
 
 _MOST_ESTIMATES = 10_000_000
 """Most estimates that are made, those of one day at 100 Hz: a wrong stamp could fill the disk."""
 _MOST_NAMES = 5
 """Contacts that an error names."""
-_MOST_FIXED = 256
-"""Bytes of an estimate's two messages besides names and numbers of its coordinates, about."""
+OBSERVER = "observer"
+"""The node that publishes estimates, where no other is named."""
+Serialize: TypeAlias = Callable[[str, object], bytes]
+"""Makes bytes of a topic and a message of its type."""
+_Judged: TypeAlias = Verdict | MeasurementVerdict
 
 
 def observe_bag(
@@ -53,7 +55,7 @@ def observe_bag(
     *,
     rate: float | None = None,
     epoch: int = 0,
-    measured: MeasuredTopics | None = None,
+    measured: RecordedSamples = NO_SENSORS,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[int, Counter[Ruling]]:
@@ -65,7 +67,7 @@ def observe_bag(
         output: the bag to make.
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
-        measured: the samples of sensors; None without sensors.
+        measured: the samples of sensors.
         progress: called with the number of estimates made, and of all estimates.
         warn: called with what was wrong with samples of live forces and grounds, and where events
             come after the last estimate.
@@ -82,34 +84,29 @@ def observe_bag(
     stamps = sample_stamps(reader, events, rate, epoch)
     if reader.low and min((each.sequence for each in events), default=0) > 1:
         # What happened before the part is unknown: the initial state holds at its first stamp.
-        known = [each.stamp for each in events]
-        known += [each.stamp for each in measured.samples[:1]] if measured is not None else []
+        known = [each.stamp for each in events] + [each.stamp for each in measured.samples[:1]]
         stamps = stamps[stamps >= min(known)]
-    has_covariance = observer.law.has_covariance
-    check_size(reader, observer.system, output, stamps, has_covariance=has_covariance)
+    check_count(reader, stamps)
     if rate is None and (line := unseen_events(events, stamps, epoch)):
         warn(line)
     for line in give_inputs(reader, observer):
         warn(line)
-    copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS, interfaces.PHASE_REFERENCE)
+    copied_topics = (*PLANT_TOPICS, interfaces.FORCING, interfaces.PHASE_REFERENCE)
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
-    if measured is not None:
-        topics += [topic for topic in measured.topics if topic not in topics]
+    topics += [topic for topic in measured.topics if topic not in topics]
     with all_or_nothing(output) as writer:
         for topic in topics:
             info = reader.topics[topic]
-            own = info.definition if measured is not None and topic in measured.topics else ""
+            own = info.definition if topic in measured.topics else ""
             writer.declare(topic, type_name=info.type, quality=info.quality, definition=own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
         messages = _ObserverMessages(
             writer, observer.system.coordinates, lambda done: progress(done, stamps.size)
         )
-        samples = () if measured is None else measured.samples
-        items = replay_batches(observer, events, stamps, rejects=True, samples=samples)
-        loud = set() if measured is None else measured.published
         impacts: Impacts = {}
+        items = replay_batches(observer, events, stamps, rejects=True, samples=measured.samples)
         items = noting_impacts(items, observer, impacts)
-        made = messages.serialized(_with_samples(items, observer, loud))
+        made = messages.serialized(_with_samples(items, observer, measured.published))
         log_time = 0
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
@@ -151,7 +148,7 @@ def _check_events(
 
 def _with_samples(
     items: Iterable[Estimates | Verdict], observer: Observer, published: Collection[str]
-) -> Iterator[Estimates | Verdict | MeasurementVerdict]:
+) -> Iterator[Estimates | _Judged]:
     """``items``, and the verdicts on samples of the sensors of these names before them."""
     for item in items:
         yield from (each for each in observer.samples.take() if each.name in published)
@@ -217,47 +214,77 @@ def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
     Raises:
         BagError: the bag is damaged.
     """
-    robot = observer.robot
-    forces = None if robot is None else robot.description.forces
-    if observer.live is not None and forces is not None:
-        return give_efforts(reader, observer.live, forces[0])
-    return give_recorded(reader, observer.live)
+    forces = None if observer.robot is None else observer.robot.description.forces
+    if forces is None:
+        return give_recorded(reader, observer.live)
+    return give_recorded(reader, observer.live, efforts_on(interfaces.absolute(forces[0])))
 
 
-def check_size(
-    reader: BagReader,
-    system: System | RobotDescription,
-    output: Path,
-    stamps: Stamps,
-    *,
-    has_covariance: bool,
-) -> None:
-    """Refuse more estimates than ``_MOST_ESTIMATES``, or than the disk has room for.
+def check_count(reader: BagReader, stamps: Stamps) -> None:
+    """Refuse more estimates than ``_MOST_ESTIMATES``.
 
     Raises:
         UsageError: naming the limit, and until when estimates would be made.
     """
-    count, n = stamps.size, system.n
-    covariance = 4 * n * n if has_covariance else 0
-    names = sum(len(each) + 8 for each in system.coordinates)
-    size = count * (_MOST_FIXED + 2 * (names + 16 * n) + 8 * covariance)
-    folder = next((each for each in output.absolute().parents if each.exists()), Path.cwd())
-    free = shutil.disk_usage(folder).free
-    excess = ""
-    if count > _MOST_ESTIMATES:
-        excess = f"{count} estimates; expected at most {_MOST_ESTIMATES}"
-    elif size > free:
-        excess = f"{count} estimates of {size / 1e9:.3g} GB; {folder} has {free / 1e9:.3g} GB free"
-    if excess:
+    if stamps.size > _MOST_ESTIMATES:
         raise UsageError(
-            f"{reader.path}: {excess}; they would go on until {text(int(stamps[-1]))} s;"
-            " lower --rate, or take parts by --start and --duration"
+            f"{reader.path}: {stamps.size} estimates; expected at most {_MOST_ESTIMATES}; they"
+            f" would go on until {text(int(stamps[-1]))} s; lower --rate, or take parts by --start"
+            " and --duration"
         )
 
 
 def _stamps_of(reader: BagReader, topic: str) -> Stamps:
     """All stamps of a topic of states, ns, ascending, each once."""
     return np.unique(reader.stamps(topic))
+
+
+def in_log_order(
+    items: Iterable[Estimates | _Judged],
+) -> Iterator[tuple[int, Estimate | _Judged]]:
+    """Yields estimates and verdicts with log times (ns) that never go back.
+
+    The log time of an estimate is its stamp. A verdict that is given before the estimates up to
+    its stamp waits for them. A verdict on an earlier stamp, a revision, is logged when given.
+    """
+    waiting: list[tuple[int, int, _Judged]] = []
+    last = 0
+    for k, item in enumerate(items):
+        if not isinstance(item, Estimates):
+            heapq.heappush(waiting, (max(item.stamp, last), k, item))
+            continue
+        for estimate in item:
+            while waiting and waiting[0][0] <= estimate.stamp:
+                last, _, verdict = heapq.heappop(waiting)
+                yield last, verdict
+            last = estimate.stamp
+            yield last, estimate
+    for log_time, _, verdict in sorted(waiting):
+        yield log_time, verdict
+
+
+def messages_of(
+    estimate: Estimate, names: tuple[str, ...], serialize: Serialize, owner: str = OBSERVER
+) -> Iterator[tuple[int, str, bytes]]:
+    """Yields log time (ns), topic and bytes of the two messages of an estimate.
+
+    Args:
+        estimate: of the node ``owner``.
+        names: of the coordinates.
+        serialize: makes the bytes.
+        owner: the node's name.
+
+    Raises:
+        MessageError: a message cannot carry the estimate.
+    """
+    make = bag_messages()
+    state = make.estimate(estimate, names)
+    for own, message in (
+        (interfaces.OBSERVER_JOINT_STATES, make.joint_state_of(state)),
+        (interfaces.OBSERVER_STATES, state),
+    ):
+        topic = f"/{own.name_under(owner)}"
+        yield estimate.stamp, topic, serialize(topic, message)
 
 
 class _ObserverMessages:
@@ -276,32 +303,33 @@ class _ObserverMessages:
         self._bound = -1.0
         self._misfit = ""
 
-    def serialized(
-        self, items: Iterable[Estimates | Verdict | MeasurementVerdict]
-    ) -> Iterator[tuple[int, str, bytes]]:
+    def serialized(self, items: Iterable[Estimates | _Judged]) -> Iterator[tuple[int, str, bytes]]:
         """Yields log time (ns), topic and bytes of each message of ``items``."""
-        make, serialize = bag_messages(), self._serialize
         for log_time, item in in_log_order(items):
-            if isinstance(item, Verdict):
-                topic = interfaces.OBSERVER_VERDICTS.topic
-                yield log_time, topic, serialize(topic, make.verdict(item))
-                self.final |= final_rulings([item])
-                if not self.refusal and item.ruling is not Ruling.APPLIED:
-                    name = item.ruling.name.lower().replace("_", " ")
-                    self.refusal = f"{name}, {item.reason}" if item.reason else name
-                self.others[item.ruling] += item.ruling not in DECIDING
-                continue
-            if isinstance(item, MeasurementVerdict):
-                topic = interfaces.OBSERVER_MEASUREMENTS.topic
-                yield log_time, topic, serialize(topic, make.measurement_verdict(item))
-                continue
-            yield from messages_of(item, self._names, serialize)
-            if item.bound != self._bound:
-                self._bound = item.bound
-                topic = interfaces.OBSERVER_BOUND.topic
-                yield log_time, topic, serialize(topic, make.bound(item))
-            if item.misfit != self._misfit:
-                self._misfit, topic = item.misfit, interfaces.DIAGNOSTIC_ARRAYS.topic
-                yield log_time, topic, serialize(topic, make.misfit(item, f"/{OBSERVER}"))
-            self.estimates += 1
-            self._progress(self.estimates)
+            if isinstance(item, Estimate):
+                yield from messages_of(item, self._names, self._serialize)
+            for interface, message in self._others(item):
+                yield log_time, interface.topic, self._serialize(interface.topic, message)
+
+    def _others(self, item: Estimate | _Judged) -> Iterator[tuple[Interface, AnyMessage]]:
+        """The message of a verdict; with an estimate its bound and misfit where new."""
+        make = bag_messages()
+        if isinstance(item, Verdict):
+            yield interfaces.OBSERVER_VERDICTS, make.verdict(item)
+            self.final |= final_rulings([item])
+            if not self.refusal and item.ruling is not Ruling.APPLIED:
+                name = item.ruling.name.lower().replace("_", " ")
+                self.refusal = f"{name}, {item.reason}" if item.reason else name
+            self.others[item.ruling] += item.ruling not in DECIDING
+            return
+        if isinstance(item, MeasurementVerdict):
+            yield interfaces.OBSERVER_MEASUREMENTS, make.measurement_verdict(item)
+            return
+        if item.bound != self._bound:
+            self._bound = item.bound
+            yield interfaces.OBSERVER_BOUND, make.bound(item)
+        if item.misfit != self._misfit:
+            self._misfit = item.misfit
+            yield interfaces.DIAGNOSTIC_ARRAYS, make.misfit(item, f"/{OBSERVER}")
+        self.estimates += 1
+        self._progress(self.estimates)

@@ -10,13 +10,14 @@ import sys
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypeVar, cast, final
 
 import numpy as np
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
@@ -29,25 +30,24 @@ from impact_observer.errors import (
     UnfitBagError,
     UsageError,
 )
-from impact_observer.events import ImpactEstimate, ImpactEvent, MeasurementVerdict, Verdict
+from impact_observer.events import ImpactEstimate, ImpactEvent, Verdict
 from impact_observer.input_files import check_input
 from impact_observer.io import interfaces
-from impact_observer.io.bag_topics import (
-    TopicInfo,
+from impact_observer.io.bag_files import (
     bag_files,
+    has_end,
     recover_command,
     reindex_command,
     storage_of,
-    topic_info,
     views_in,
+    write_whole,
 )
-from impact_observer.io.interfaces import Interface
+from impact_observer.io.interfaces import Interface, Quality
 from impact_observer.io.messages import (
     AnyMessage,
     MessageError,
     read_event,
     read_impact_estimate,
-    read_measurement_verdict,
     read_stamp,
     read_verdict,
 )
@@ -63,7 +63,6 @@ from impact_observer.io.typestores import (
     deserialize,
     new_typestore,
 )
-from impact_observer.io.unfinished_mcap import has_end, write_whole
 from impact_observer.model.yaml_text import load_yaml
 from impact_observer.plain_text import say
 from impact_observer.resources import read_text
@@ -77,6 +76,42 @@ _MOST_NESTED = 1000
 _WRONG_KIND = "rows without a whole log time (ns) and bytes"
 _BLOCK = 1024
 """Most states in a block."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a bag.
+
+    Attributes:
+        name: the absolute name.
+        type: the message type; several joined by `` and `` when publishers disagreed.
+        count: messages.
+        quality: the quality of service that was offered; None when the bag does not have it.
+        definition: the text of the message type; empty when the bag does not have it.
+    """
+
+    name: str
+    type: str
+    count: int
+    quality: Quality | None
+    definition: str
+
+    @classmethod
+    def of(cls, topic: str, connections: Sequence[Connection]) -> "TopicInfo":
+        """A topic with all its connections."""
+        offers = [
+            Quality.recorded(qos, interfaces.usual_quality(topic).depth)
+            for connection in connections
+            if isinstance(connection.ext, ConnectionExtRosbag2)
+            for qos in connection.ext.offered_qos_profiles
+        ]
+        return cls(
+            name=topic,
+            type=" and ".join(sorted({connection.msgtype for connection in connections})),
+            count=sum(connection.msgcount for connection in connections),
+            quality=Quality.common(offers) if offers else None,
+            definition=connections[0].msgdef.data,
+        )
 
 
 class RawMessage(NamedTuple):
@@ -131,6 +166,7 @@ class BagReader:
             self.close()
             raise
         self._store: Typestore | None = None
+        self._defined = set[str]()  # topics whose definitions the store has
         self.low = 0
         self._limits: tuple[int, int] | None = None
         self._received: frozenset[str] = frozenset()
@@ -176,7 +212,7 @@ class BagReader:
             own = self._connections.setdefault(interfaces.absolute(topic), [])
             own += self._reader.topics[topic].connections
         self.topics = {
-            topic: topic_info(topic, connections)
+            topic: TopicInfo.of(topic, connections)
             for topic, connections in self._connections.items()
         }
         # `ros2 bag convert` leaves qualities out of files that metadata.yaml has; rosbags
@@ -357,14 +393,6 @@ class BagReader:
         """
         return self._values(topic, interfaces.IMPACT_ESTIMATE, read_impact_estimate)
 
-    def sample_verdicts(self, topic: str) -> Iterator[MeasurementVerdict]:
-        """The verdicts on samples of a topic, in bag order.
-
-        Raises:
-            BagError: the topic is missing or of another type, or a message has no valid verdict.
-        """
-        return self._values(topic, interfaces.MEASUREMENT_VERDICT, read_measurement_verdict)
-
     def blocks(
         self,
         topics: Collection[str],
@@ -474,14 +502,13 @@ class BagReader:
             self._store = new_typestore()
         store, topic, type_name = self._store, info.name, info.type
         try:
-            disagrees = info.definition and add_definition(store, info.definition, type_name)
+            if info.definition and topic not in self._defined:
+                add_definition(store, info.definition, type_name)
+                self._defined.add(topic)
         except BagError as error:
-            raise BagError(f"{self.path}: {topic}: {error}") from error
-        if disagrees:
             raise BagError(
-                f"{self.path}: {topic} has another definition of {type_name} than this package; "
-                "read it with the version that made it"
-            )
+                f"{self.path}: {topic}: {error}; read it with the version that made it"
+            ) from error
         if type_name not in store.fielddefs:
             raise BagError(
                 f"{self.path}: {topic} is {type_name}, which neither this package nor the bag "

@@ -30,10 +30,6 @@ PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOI
 """Topics that ``write_run`` writes, and ``observe_bag`` copies."""
 
 
-INTEGRATOR = "integrator"
-"""Key of the provenance of a model that a simulated plant has published."""
-
-
 def published_model(
     model: Model,
     seed: int,
@@ -49,7 +45,7 @@ def published_model(
         "package": "impact_observer",
         "version": __version__,
         "seed": seed,
-        INTEGRATOR: "event-driven",
+        "integrator": "event-driven",
     }
     if sensor.faults:
         provenance["sensor"] = sensor.faults
@@ -230,7 +226,8 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
     )
     if f"{prefix}/measurements" not in reader.topics:
         return outcomes
-    used = Counter(each.accepted for each in reader.sample_verdicts(f"{prefix}/measurements"))
+    verdicts_on_samples = reader.messages(f"{prefix}/measurements")
+    used = Counter(bool(each.accepted) for _, each in verdicts_on_samples)
     return replace(outcomes, measured=(used[True], used[False]))
 
 

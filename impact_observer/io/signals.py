@@ -11,9 +11,10 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.input_files import check_input
+from impact_observer.io.bag_files import SOUND_FILES
 from impact_observer.io.bag_part import BagPart, TimeZero
-from impact_observer.io.bag_topics import SOUND_FILES
-from impact_observer.io.tables import Table, TableForm, left_out, read_table
+from impact_observer.io.tables import Table, TableForm, read_table
+from impact_observer.plain_text import part_left_out
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector
 
@@ -178,7 +179,8 @@ def _sound(path: Path, zero: int) -> Signal:
     }
     bad = {name: int(np.count_nonzero(~np.isfinite(values))) for name, values in columns.items()}
     omissions = {
-        name: f"{path}: {left_out(f'frames of {name}', count, len(frames))}: no finite numbers"
+        name: f"{path}: "
+        + part_left_out(count, len(frames), f"frames of {name}", "no finite numbers")
         for name, count in bad.items()
         if count
     }

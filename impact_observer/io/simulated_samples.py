@@ -6,13 +6,13 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from rosbags.interfaces import Nodetype
 
 from impact_observer.dynamics import mechanism_of
 from impact_observer.events import Contacts
 from impact_observer.io import interfaces
+from impact_observer.io.measured_samples import number_in
 from impact_observer.io.messages import AnyMessage, bag_messages
-from impact_observer.io.typestores import typestore
+from impact_observer.io.typestores import blank
 from impact_observer.message_fields import FieldPath
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.multibody import Multibody
@@ -81,8 +81,8 @@ def type_of(measurement: Measurement) -> str:
     """The type of the messages that a simulated sensor publishes.
 
     Raises:
-        UsageError: by file and key: no type that can be simulated has such a field, or it has no
-            header though that is wanted.
+        UsageError: by file and key: no type that can be simulated has a number in such a field, or
+            it has no header though that is wanted.
     """
     if measurement.joint:
         return interfaces.JOINT_STATE
@@ -94,54 +94,8 @@ def type_of(measurement: Measurement) -> str:
         raise measurement.wrong(
             "stamp", f"header found, but {type_name} has none; expected receive"
         )
+    number_in(blank(type_name), measurement)
     return type_name
-
-
-class TrueValues:
-    """What sensors of a system measure without noise, and the efforts of its joints."""
-
-    def __init__(self, measurements: Sequence[Measurement], system: Multibody) -> None:
-        """Resolve the names of the ``measurements``.
-
-        Raises:
-            UsageError: the system does not have them, by file and key.
-        """
-        for each in measurements:
-            each.check(system)
-        self._measurements, self._system = measurements, system
-        self._mechanism = mechanism_of(system)
-        self._index = {name: i for i, name in enumerate(system.coordinates)}
-
-    def values(self, instant: int, x: Vector, closed: Contacts) -> Iterator[float]:
-        """Values of all sensors in a state (q, u), shape (2n,), ``instant`` ns since the epoch."""
-        n, system = self._system.n, self._system
-        framed = system.to_frame(np.array([instant]), x[None])
-        for each in self._measurements:
-            value = each.offset
-            if each.gap:
-                contact = system.contact_names.index(each.gap)
-                value += float(self._mechanism.gaps(framed).g[0, contact])
-            motions = [(each.position, x[:n]), (each.velocity, x[n:])]
-            if each.acceleration:
-                rates = self._mechanism.rates([instant / NS_PER_S], framed, closed)[0, n:]
-                motions.append((each.acceleration, rates + self._pull(instant)))
-            for coefficients, motion in motions:
-                value += sum(factor * motion[self._index[name]] for name, factor in coefficients)
-            yield float(value)
-
-    def efforts(self, instant: int) -> dict[str, float]:
-        """Torques and forces of the drives of joints with encoders, N m or N, by joint."""
-        if not self._system.has_encoders:
-            return {}
-        tau = self._system.forcing(instant / NS_PER_S).tolist()
-        return dict(zip(self._system.coordinates, tau, strict=True))
-
-    def _pull(self, instant: int) -> Vector:
-        """Acceleration of the frame in which no stop moves, shape (n,)."""
-        around = np.array([instant - _HALF_STEP, instant + _HALF_STEP])
-        before, after = self._system.from_frame(around, np.zeros((2, 2 * self._system.n)))
-        pull: Vector = (after - before)[self._system.n :] / (2e-9 * _HALF_STEP)
-        return pull
 
 
 class SampleSimulation:
@@ -163,11 +117,14 @@ class SampleSimulation:
         """Sensors of ``system``; ``new`` makes an empty message of a type.
 
         Raises:
-            UsageError: by file and key, where one cannot be simulated.
+            UsageError: by file and key, where the system lacks a name, or a sensor cannot be
+                simulated.
         """
         self.sampling = sampling
-        self._measured = TrueValues(measurements, system)
-        self._declared = tuple(measurements)
+        for each in measurements:
+            each.check(system)
+        self._declared, self._system = tuple(measurements), system
+        self._mechanism = mechanism_of(system)
         self._new = new or blank
         self._random = np.random.default_rng([seed, _STREAM])
         self.types: dict[str, str] = {}
@@ -193,7 +150,7 @@ class SampleSimulation:
 
         Joints with efforts share the messages of a topic, which have the efforts, too.
         """
-        efforts = self._measured.efforts(stamp - epoch)
+        efforts = self._efforts(stamp - epoch)
         shared: dict[tuple[str, str, int], AnyMessage] = {}
         for sample, arrival in self.sampled(stamp, epoch, x, closed):
             declared = self._declared[sample.sensor]
@@ -203,7 +160,7 @@ class SampleSimulation:
             if (known := shared.get(key)) is not None:
                 _add_joint(known, declared, sample.value, efforts)
                 continue
-            message = self._message(declared, late, sample.value)
+            message = self._message(topic, declared, late, sample.value)
             if efforts and declared.joint:
                 message.effort = np.array([efforts[declared.joint]])
                 shared[key] = message
@@ -213,15 +170,47 @@ class SampleSimulation:
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[tuple[SensorSample, int]]:
         """Samples of all sensors for a state, each with its time of reception, ns."""
-        values = self._measured.values(stamp - epoch, x, closed)
+        values = self._true_values(stamp - epoch, x, closed)
         for index, (declared, true) in enumerate(zip(self._declared, values, strict=True)):
             noise = float(self._random.normal())
             self._random.random(2)  # so that a seed gives the samples of 0.3.0
             value = true + declared.deviation * noise
             yield SensorSample(index, stamp, value), stamp + from_seconds(declared.delay)
 
-    def _message(self, declared: Measurement, stamp: int, value: float) -> AnyMessage:
-        message = self._new(type_of(declared))
+    def _true_values(self, instant: int, x: Vector, closed: Contacts) -> Iterator[float]:
+        """What the sensors measure without noise in a state, ``instant`` ns since the epoch."""
+        n, system = self._system.n, self._system
+        framed = system.to_frame(np.array([instant]), x[None])
+        for each in self._declared:
+            value = each.offset
+            if each.gap:
+                contact = system.contact_names.index(each.gap)
+                value += float(self._mechanism.gaps(framed).g[0, contact])
+            motions = [(each.position, x[:n]), (each.velocity, x[n:])]
+            if each.acceleration:
+                rates = self._mechanism.rates([instant / NS_PER_S], framed, closed)[0, n:]
+                motions.append((each.acceleration, rates + self._pull(instant)))
+            for coefficients, motion in motions:
+                by_name = dict(zip(system.coordinates, motion, strict=True))
+                value += sum(factor * by_name[name] for name, factor in coefficients)
+            yield float(value)
+
+    def _efforts(self, instant: int) -> dict[str, float]:
+        """Torques and forces of the drives of joints with encoders, N m or N, by joint."""
+        if not self._system.has_encoders:
+            return {}
+        tau = self._system.forcing(instant / NS_PER_S).tolist()
+        return dict(zip(self._system.coordinates, tau, strict=True))
+
+    def _pull(self, instant: int) -> Vector:
+        """Acceleration of the frame in which no stop moves, shape (n,)."""
+        around = np.array([instant - _HALF_STEP, instant + _HALF_STEP])
+        before, after = self._system.from_frame(around, np.zeros((2, 2 * self._system.n)))
+        pull: Vector = (after - before)[self._system.n :] / (2e-9 * _HALF_STEP)
+        return pull
+
+    def _message(self, topic: str, declared: Measurement, stamp: int, value: float) -> AnyMessage:
+        message = self._new(self.types[topic])
         time = bag_messages().time(stamp)
         if hasattr(message, "header"):
             message.header.stamp.sec, message.header.stamp.nanosec = time.sec, time.nanosec
@@ -264,31 +253,8 @@ def _add_joint(
 
 
 def _put(message: AnyMessage, path: FieldPath, value: float) -> None:
-    """Set the number at ``path``."""
-    *outer, last = path
-    for part in outer:
-        message = message[part] if isinstance(part, int) else getattr(message, part)
-    if isinstance(last, int):
-        message[last] = value
-    else:
-        setattr(message, last, value)
-
-
-def blank(type_name: str) -> AnyMessage:
-    """A message of ``rosbags`` with zeros and empty texts."""
-    store = typestore()
-    _, members = store.fielddefs[type_name]
-    return store.types[type_name](**{name: _blank_field(kind) for name, kind in members})
-
-
-def _blank_field(kind: AnyMessage) -> AnyMessage:
-    """The value of a field of this kind, as ``rosbags`` describes it."""
-    node, detail = kind
-    if node is Nodetype.NAME:
-        return blank(detail)
-    if node is Nodetype.BASE:
-        return {"string": "", "bool": False}.get(detail[0], 0)
-    (_, (base, *_)), count = detail
-    if base == "string":
-        return [""] * int(count or 0)
-    return np.zeros(int(count or 0), dtype=base)
+    """Set the number at ``path``, all of whose parts are names."""
+    *outer, last = map(str, path)
+    for name in outer:
+        message = getattr(message, name)
+    setattr(message, last, value)

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.errors import BagError
-from impact_observer.io.messages import AnyMessage, MessageError, read_estimate, read_joint_state
+from impact_observer.io.messages import (
+    AnyMessage,
+    JointState,
+    MessageError,
+    read_estimate,
+    read_joint_state,
+)
 from impact_observer.states import Estimate, Matrix, Stamps
 
 
@@ -80,10 +86,9 @@ class StateCollector:
         self._names = None if names is None else tuple(names)
         self._has_estimates = estimates
         self._keeps_covariance = covariance
-        self._law: str | None = None
+        self._law = ""
         self._taken = 0
-        self._rows: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
-        self._estimates: list[tuple[int, int, NDArray[np.float64]]] = []
+        self._rows: list[tuple[JointState | Estimate, list[int]]] = []
 
     def __len__(self) -> int:
         """Returns the number of messages since the last call of ``take``."""
@@ -96,72 +101,64 @@ class StateCollector:
             BagError: the message has no finite position and velocity for every name, its names are
                 not the expected ones, or the law has changed.
         """
-        estimate: Estimate | None = None
+        state: JointState | Estimate
         try:
             if self._has_estimates:
-                names, estimate = read_estimate(message)
-                stamp, q, u = estimate.stamp, estimate.q, estimate.u
+                names, state = read_estimate(message)
             else:
                 state = read_joint_state(message)
-                names, stamp, q, u = state.names, state.stamp, state.q, state.u
+                names = state.names
         except MessageError as error:
             place = f"{self._source}, message {self._taken + len(self._rows)}"
             raise BagError(f"{place}: {error}") from error
-        if names == self._names:
-            order = list(range(len(names)))
-        else:
-            order = self._order(names)
-            q, u = q[order], u[order]
-        self._rows.append((stamp, q, u))
-        if estimate is not None:
-            self._append_estimate(estimate, order)
-
-    def _append_estimate(self, estimate: Estimate, order: Sequence[int]) -> None:
-        """Append the law, the last event and the covariance of an estimate."""
-        if self._law not in (None, estimate.law):
-            raise BagError(
-                f"{self._source} changes its law from {self._law} to {estimate.law}; "
-                "expected one law a topic, such as /observer_<law>/state"
-            )
-        self._law = estimate.law
-        covariance = estimate.covariance[:0, :0]
-        if self._keeps_covariance and estimate.covariance.size:
-            both = [*order, *(len(order) + i for i in order)]
-            covariance = estimate.covariance[np.ix_(both, both)]
-        self._estimates.append((estimate.last_sequence, estimate.last_event, covariance))
+        if isinstance(state, Estimate):
+            if self._law not in ("", state.law):
+                raise BagError(
+                    f"{self._source} changes its law from {self._law} to {state.law}; "
+                    "expected one law a topic, such as /observer_<law>/state"
+                )
+            self._law = state.law
+        self._rows.append((state, self._order(names)))
 
     def take(self) -> JointStates:
         """Returns the messages since the last call; estimates are ``ObserverStates``."""
         rows, self._rows = self._rows, []
-        estimates, self._estimates = self._estimates, []
         self._taken += len(rows)
         names, count = self._names or (), len(rows)
-        stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64)
-        q = np.array([each for _, each, _ in rows]).reshape(count, len(names))
-        u = np.array([each for _, _, each in rows]).reshape(count, len(names))
+        stamps = np.array([state.stamp for state, _ in rows], dtype=np.int64)
+        q = np.array([state.q[order] for state, order in rows]).reshape(count, len(names))
+        u = np.array([state.u[order] for state, order in rows]).reshape(count, len(names))
         if not self._has_estimates:
             return _read_only(JointStates(names, stamps, q, u))
-        covariances = [each for _, _, each in estimates]
-        side = max((each.shape[0] for each in covariances), default=0)
-        covariance = np.full((count, side, side), np.nan)
-        for i, each in enumerate(covariances):
-            if each.size:
-                covariance[i] = each
+        estimates = [(state, order) for state, order in rows if isinstance(state, Estimate)]
         return _read_only(
             ObserverStates(
                 names,
                 stamps,
                 q,
                 u,
-                self._law or "",
-                np.array([sequence for sequence, _, _ in estimates], dtype=np.uint64),
-                np.array([event for _, event, _ in estimates], dtype=np.int64),
-                covariance,
+                self._law,
+                np.array([each.last_sequence for each, _ in estimates], dtype=np.uint64),
+                np.array([each.last_event for each, _ in estimates], dtype=np.int64),
+                self._covariances(estimates),
             )
         )
 
+    def _covariances(self, rows: Sequence[tuple[Estimate, list[int]]]) -> NDArray[np.float64]:
+        """The covariances in the order of the names; NaN for an estimate without covariance."""
+        has_some = self._keeps_covariance and any(each.covariance.size for each, _ in rows)
+        side = 2 * len(self._names or ()) if has_some else 0
+        covariance = np.full((len(rows), side, side), np.nan)
+        for i, (each, order) in enumerate(rows if has_some else ()):
+            if each.covariance.size:
+                both = [*order, *(len(order) + k for k in order)]
+                covariance[i] = each.covariance[np.ix_(both, both)]
+        return covariance
+
     def _order(self, names: tuple[str, ...]) -> list[int]:
         """Returns the places of the wanted names among those of a message."""
+        if names == self._names:
+            return list(range(len(names)))
         if self._names is None:
             self._names = names
         wanted = self._names

@@ -38,6 +38,7 @@ from impact_observer.io.table_times import (
     unit_named,
     unit_words,
 )
+from impact_observer.plain_text import part_left_out
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, seconds_between, text
 from impact_observer.states import Stamps, Vector
 
@@ -143,9 +144,9 @@ class Table:
         bad = [k for k in np.flatnonzero(np.isnan(values)).tolist() if cells[k].strip()]
         if not bad:
             return ""
-        what = left_out(f"values of {name}", len(bad), len(values))
         first = f"the first, in line {self.lines[bad[0]]}, is {shown(cells[bad[0]])}"
-        return f"{self.path}: {what}: no finite numbers; {first}"
+        why = f"no finite numbers; {first}"
+        return f"{self.path}: {part_left_out(len(bad), len(values), f'values of {name}', why)}"
 
     def wrong(self, line: int, problem: str) -> NoReturn:
         """Raise the error of a line."""
@@ -171,11 +172,6 @@ def read_table(path: Path, form: TableForm, expected: str, *, strict: bool = Fal
 def is_number(cell: str, decimal_comma: bool) -> bool:
     """Whether a cell is a decimal number."""
     return bool(_NUMBER.fullmatch(cell) or (decimal_comma and _WITH_COMMA.fullmatch(cell)))
-
-
-def left_out(what: str, count: int, total: int) -> str:
-    """Words for what is left out: its count and its part of a total."""
-    return f"{count} of {total} {what} left out ({100 * count / total:.2g} %)"
 
 
 def shown(cell: str) -> str:
@@ -541,8 +537,8 @@ class _Reader:
             first, count = min(self.lost), len(self.lost)
             if 2 * count > total:
                 self.wrong(first, f"{self.lost[first]}; {count} of {total} rows cannot be read")
-            what = left_out("rows", count, total)
-            self.remarks.append(f"{what}, the first in line {first}: {self.lost[first]}")
+            why = f"in line {first}, {self.lost[first]}"
+            self.remarks.append(part_left_out(count, total, "rows", why))
 
     def order(self, times: Stamps, lines: NDArray[np.int64]) -> NDArray[np.intp]:
         """The places of times by time.

@@ -13,7 +13,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rosbags.interfaces.typing import FieldDesc, Typesdict
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
 from rosbags.serde import SerdeError
 from rosbags.typesys import (
     Stores,
@@ -85,25 +87,18 @@ def parse_definition(definition: str, type_name: str) -> Typesdict:
     return types
 
 
-def add_definition(store: Typestore, definition: str, type_name: str) -> set[str]:
+def add_definition(store: Typestore, definition: str, type_name: str) -> None:
     """Add to ``store`` the types of a ``definition`` that it does not have.
 
-    Returns:
-        The names of types that ``store`` has with other fields; these are not changed.
-
     Raises:
-        BagError: the text is no definition of ``type_name``.
+        BagError: the text is no definition of ``type_name``, or ``store`` has the type, or a part
+            of it, with other fields.
     """
     types = parse_definition(definition, type_name)
-    present = types.keys() & store.fielddefs.keys()
-    if new := {name: parts for name, parts in types.items() if name not in present}:
-        store.register(new)
-    return {name for name in present if _fields(types, name) != _fields(store.fielddefs, name)}
-
-
-def _fields(types: Typesdict, name: str) -> list[tuple[str, FieldDesc]]:
-    """Field names and types of the message type ``name``."""
-    return [(field.lower(), kind) for field, kind in types[name][1]]
+    try:
+        store.register(types)
+    except TypesysError:
+        raise BagError(f"another definition of {type_name} than the known one") from None
 
 
 def begins_with_stamp(store: Typestore, type_name: str) -> bool:
@@ -132,6 +127,26 @@ def deserialize(store: Typestore, data: bytes, type_name: str) -> Any:  # noqa: 
     if (left := len(data) - 4 - end) > _RESERVE:
         raise SerdeError(f"{left} bytes are left over")
     return message
+
+
+def blank(type_name: str) -> Any:  # noqa: ANN401 (a class of rosbags)
+    """A message with zeros and empty texts."""
+    store = typestore()
+    _, members = store.fielddefs[type_name]
+    return store.types[type_name](**{name: _blank_field(kind) for name, kind in members})
+
+
+def _blank_field(kind: Any) -> Any:  # noqa: ANN401 (as rosbags describes it)
+    """The value of a field of this kind."""
+    node, detail = kind
+    if node is Nodetype.NAME:
+        return blank(detail)
+    if node is Nodetype.BASE:
+        return {"string": "", "bool": False}.get(detail[0], 0)
+    (_, (base, *_)), count = detail
+    if base == "string":
+        return [""] * int(count or 0)
+    return np.zeros(int(count or 0), dtype=base)
 
 
 def installed_definition(type_name: str) -> str | None:

@@ -5,20 +5,36 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
-from typing import final
+from typing import NamedTuple, final
 
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2.metadata import dump_qos_v9
+from ruamel.yaml import YAML
 
 from impact_observer import __version__
 from impact_observer.errors import BagError, UsageError
-from impact_observer.io.bag_metadata import BagExtent, Topic, metadata, quality_text
 from impact_observer.io.interfaces import Quality, interface, usual_quality
 from impact_observer.io.typestores import add_definition, new_typestore
 from impact_observer.output_files import check_name, unwritable
 
 _CHUNK = 2**16
 """Bytes in a chunk, which is what one flipped bit costs."""
+_NO_MESSAGE = 2**63 - 1
+"""Starting time that rosbag2 writes for a bag without messages, ns."""
+
+
+class _Topic(NamedTuple):
+    """A topic that is declared.
+
+    Attributes:
+        channel: its number in the file.
+        about: what ``metadata.yaml`` says of it.
+    """
+
+    channel: int
+    about: dict[str, object]
 
 
 def bag_file(path: Path) -> str:
@@ -75,7 +91,7 @@ class BagWriter:
         check_free(self.path)
         self._folder = folder or self.path
         self._store = new_typestore()
-        self._topics: dict[str, Topic] = {}
+        self._topics: dict[str, _Topic] = {}
         self._schemas: dict[str, int] = {}
         self._counts = Counter[int]()
         self._start = self._end = 0
@@ -112,14 +128,41 @@ class BagWriter:
         if not self._is_open:
             return
         self._is_open = False
-        extent = BagExtent(self._counts, self._start, self._end)
-        whole, inner = metadata(bag_file(self.path), extent, self._topics.values())
+        about = self._metadata()
         with self._one_line(), self._file:
             self._writer.flush()  # type: ignore[no-untyped-call]
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": inner})
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(about).strip()})
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._synchronize()
-            (self._folder / "metadata.yaml").write_text(whole, encoding="utf-8")
+            text = _yaml({"rosbag2_bagfile_information": about})
+            (self._folder / "metadata.yaml").write_text(text, encoding="utf-8")
+
+    def _metadata(self) -> dict[str, object]:
+        """What ``metadata.yaml`` says of the bag: version 9, that of Jazzy."""
+        return {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [bag_file(self.path)],
+            **self._extent(),
+            "topics_with_message_count": [
+                {"topic_metadata": each.about, "message_count": self._counts[each.channel]}
+                for each in self._topics.values()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": bag_file(self.path), **self._extent()}],
+            "custom_data": None,
+            "ros_distro": "rosbags",
+        }
+
+    def _extent(self) -> dict[str, object]:
+        """Number, duration and start of the messages."""
+        start = self._start if self._counts else _NO_MESSAGE
+        return {
+            "message_count": self.message_count,
+            "duration": {"nanoseconds": self._end - self._start},
+            "starting_time": {"nanoseconds_since_epoch": start},
+        }
 
     def declare(
         self,
@@ -146,20 +189,27 @@ class BagWriter:
         known = interface(topic)
         if (type_name := type_name or (known.type if known else None)) is None:
             raise UsageError(f"{self.path}: {topic} is no topic of this package; name its type")
-        if definition and add_definition(self._store, definition, type_name):
-            raise BagError(
-                f"{self.path}: {topic} brings another definition of {type_name}; "
-                "a bag can hold one only"
-            )
+        if definition:
+            add_definition(self._store, definition, type_name)
         if type_name not in self._store.fielddefs:
             raise UsageError(f"{self.path}: {topic} is {type_name}; give its definition too")
-        offered = quality or usual_quality(topic)
+        offered = dump_qos_v9([(quality or usual_quality(topic)).offered()])
         type_hash = self._store.hash_rihs01(type_name)
-        about = {"offered_qos_profiles": quality_text(offered), "topic_type_hash": type_hash}
+        in_file = {
+            "offered_qos_profiles": _yaml(offered).strip(),
+            "topic_type_hash": type_hash,
+        }
         with self._one_line():
             schema = self._schema(type_name)
-            channel = self._writer.register_channel(topic, "cdr", schema, about)
-        self._topics[topic] = Topic(channel, topic, type_name, type_hash, offered)
+            channel = self._writer.register_channel(topic, "cdr", schema, in_file)
+        about: dict[str, object] = {
+            "name": topic,
+            "type": type_name,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": offered,
+            "type_description_hash": type_hash,
+        }
+        self._topics[topic] = _Topic(channel, about)
 
     def _schema(self, type_name: str) -> int:
         """The number of the schema of a message type, which is registered once."""
@@ -190,7 +240,7 @@ class BagWriter:
         Raises:
             UsageError: as of :meth:`write`.
         """
-        type_name = self._topic(topic).type
+        type_name = str(self._topic(topic).about["type"])
         if (given := getattr(message, "__msgtype__", type(message).__name__)) != type_name:
             raise UsageError(f"{self.path}: {topic} is {type_name}; not {given}")
         return bytes(self._store.serialize_cdr(message, type_name))
@@ -216,7 +266,7 @@ class BagWriter:
         self._end = max(self._end, log_time)
         self._counts[channel] += 1
 
-    def _topic(self, topic: str) -> Topic:
+    def _topic(self, topic: str) -> _Topic:
         """Returns a topic; a topic of this package that is not declared yet is declared."""
         if not self._is_open:
             raise UsageError(f"{self.path}: is closed; nothing more can be written")
@@ -247,3 +297,11 @@ class BagWriter:
         except OSError as error:
             reason = getattr(error, "strerror", None) or error
             raise BagError(f"{self.path}: cannot be written: {reason}") from error
+
+
+def _yaml(value: object) -> str:
+    """A value as YAML in block style."""
+    stream, yaml = StringIO(), YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.dump(value, stream)
+    return stream.getvalue()

@@ -15,7 +15,7 @@ from impact_observer.detector.source import ARRIVAL, PEAK
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
-from impact_observer.io.bag_topics import SIGNAL_FILES, SOUND_FILES
+from impact_observer.io.bag_files import SIGNAL_FILES, SOUND_FILES
 from impact_observer.io.import_table import import_table
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.reader import BagReader

@@ -11,8 +11,7 @@ from impact_observer.detector.source import SWITCH
 from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.live_inputs import read_pulse
-from impact_observer.io.messages import AnyMessage
+from impact_observer.io.messages import AnyMessage, read_pulse
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import FOLLOWING, MOST_TOGETHER, BaseNode, Receiver
 from impact_observer.ros.topics import MessageInfo, message_class

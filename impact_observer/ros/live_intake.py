@@ -7,8 +7,8 @@ from functools import partial
 
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.live_inputs import give, read_pulse
-from impact_observer.io.messages import AnyMessage, MessageError
+from impact_observer.io.live_inputs import give
+from impact_observer.io.messages import AnyMessage, MessageError, read_pulse
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.ros.base_node import BaseNode, ClockGate, Receiver
 from impact_observer.stamps import MAX_STAMP, NS_PER_S

@@ -12,8 +12,7 @@ import pytest
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader, BagWriter, JointState, Quality
-from impact_observer.io.live_inputs import read_pulse
-from impact_observer.io.messages import bag_messages
+from impact_observer.io.messages import bag_messages, read_pulse
 from impact_observer.io.recordings import events_in, model_of
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model

@@ -179,7 +179,7 @@ def test_what_is_no_signal_is_said_to_be_none(
     assert main(["detect", str(tmp_path), "--time-zero", "3", *given]) == 2
     assert "go with a signal, not with a bag" in capsys.readouterr().err
     assert main(["observe", str(sound), "-o", output]) == 2
-    assert "`import` makes one of a table of impact times, `detect`" in capsys.readouterr().err
+    assert "`import` makes one of a table of times, `detect`" in capsys.readouterr().err
 
 
 def test_rising_edges_of_a_column_are_the_pulses_of_a_drive(

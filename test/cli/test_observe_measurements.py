@@ -11,7 +11,7 @@ import pytest
 from impact_observer.cli.main import main
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.measured_samples import samples_in
-from impact_observer.io.messages import read_estimate, read_measurement_verdict
+from impact_observer.io.messages import read_estimate
 from impact_observer.model import read_model
 from impact_observer.model.measurement import read_measurements
 from impact_observer.resources import shared
@@ -47,11 +47,10 @@ def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
     """Sums of coefficients of the true states, noise as declared, stamps late by the delay."""
     sensors = read_measurements(bag.parent / "rig.yaml")
     with BagReader(bag) as reader:
-        samples, arrivals, problems = samples_in(reader, sensors)
+        samples, problems, *_ = samples_in(reader, sensors)
+        arrivals = [log_time for log_time, _ in reader.messages("/laser")]
         truth = reader.joint_states(reader.truth_topic() or "")
-        types = {
-            each: reader.topics[each].type for each in ("/encoder", "/laser", "/imu", "/probe")
-        }
+        types = {topic: info.type for topic, info in reader.topics.items()}
     assert not problems
     assert types["/laser"] == "sensor_msgs/msg/Range"
     assert types["/imu"] == "sensor_msgs/msg/Imu"
@@ -66,7 +65,8 @@ def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
         errors = [each.value - expected[k, at[each.stamp]] for each in own]
         assert len(own) == 151
         assert np.std(errors) == pytest.approx(deviation, rel=0.25)
-    late = {a - s.stamp for s, a in zip(samples, arrivals, strict=True) if s.sensor == 1}
+    of_laser = [each.stamp for each in samples if each.sensor == 1]
+    late = {a - stamp for stamp, a in zip(of_laser, arrivals, strict=True)}
     assert late == {NS_PER_S // 100}
     forces = system.forcing.derivatives(np.array([0.02]), 0)[0][0]
     i = at[NS_PER_S + NS_PER_S // 50]
@@ -90,10 +90,7 @@ def test_observe_uses_them_copies_them_and_says_what_became_of_them(
         assert "warning" not in text
     with BagReader(once) as one, BagReader(twice) as two:
         found, again = (each.observer_states("/observer/state") for each in (one, two))
-        verdicts = [
-            read_measurement_verdict(message)
-            for _, message in one.messages("/observer/measurements")
-        ]
+        verdicts = [message for _, message in one.messages("/observer/measurements")]
         truth = one.joint_states(one.truth_topic() or "")
     np.testing.assert_array_equal(found.q, again.q)
     np.testing.assert_array_equal(found.u, again.u)
@@ -216,14 +213,12 @@ def test_what_cannot_be_simulated_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A field of no known type, a deviation that is no number, faults of nothing."""
-    (tmp_path / "a.yaml").write_text(
-        "measurements: [{name: a, topic: /a, field: odd.x, gap: stop, deviation: 1}]"
-    )
-    (tmp_path / "b.yaml").write_text(
-        "measurements: [{name: b, topic: /b, field: data, gap: stop, deviation: learn}]"
-    )
+    for name, field, size in (("a", "odd.x", 1), ("b", "data", "learn"), ("c", "'data[0]'", 1)):
+        each = f"name: {name}, topic: /{name}, field: {field}, gap: stop, deviation: {size}"
+        (tmp_path / f"{name}.yaml").write_text(f"measurements: [{{{each}}}]")
     for given, error in (
         (["--measurements", str(tmp_path / "a.yaml")], "a.yaml: measurements[0].field: odd.x"),
+        (["--measurements", str(tmp_path / "c.yaml")], "c.yaml: measurements[0].field: /c: data"),
         (["--measurements", str(tmp_path / "b.yaml")], "b.yaml: measurements[0].deviation: learn"),
         (["--measurement-rate", "0.1"], "measurement_rate: given without --measurements"),
     ):

@@ -11,8 +11,8 @@ from systems import examples
 
 from impact_observer.events import Ruling, Verdict
 from impact_observer.io import interfaces
-from impact_observer.io.estimate_messages import in_log_order, messages_of
 from impact_observer.io.messages import MessageError, read_estimate, read_joint_state
+from impact_observer.io.observed_bag import in_log_order, messages_of
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate, Estimates

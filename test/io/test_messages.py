@@ -182,8 +182,10 @@ def test_no_message_carries_an_impact_with_a_number_that_is_not_finite() -> None
 def test_verdict_on_a_sample_survives_its_message(verdict: MeasurementVerdict) -> None:
     """A message keeps the numbers bit for bit."""
     made = bag_messages().measurement_verdict(verdict)
-    back = through_bytes(made, interfaces.MEASUREMENT_VERDICT)
-    assert m.read_measurement_verdict(back) == verdict
+    back: m.AnyMessage = through_bytes(made, interfaces.MEASUREMENT_VERDICT)
+    fields = [getattr(back, name) for name in verdict._fields if name != "stamp"]
+    assert fields == [*verdict[1:]]
+    assert m.read_stamp("header", back.header.stamp) == verdict.stamp
 
 
 @given(error=errors())

@@ -374,7 +374,7 @@ def test_bag_with_another_definition_of_our_type_is_refused(tmp_path: Path) -> N
         writer.write(connection, 1, b"\x00\x01\0\0\1\0\0\0")
     with BagReader(tmp_path / "bag") as reader:
         assert len(list(reader.raw())) == 1
-        with pytest.raises(BagError, match=r"/impacts has another definition of .*ImpactEvent"):
+        with pytest.raises(BagError, match=r"/impacts: another definition of .*ImpactEvent"):
             reader.events()
 
 

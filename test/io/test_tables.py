@@ -383,7 +383,7 @@ def at(k: int) -> int:
         (
             table("time,az\n", lambda k, t, a: plain(k, t, a) if k % 20 - 1 else "reset"),
             {1, 21, 41},
-            "3 of 60 rows left out (5 %), the first in line 3: 'reset'",
+            "3 of 60 rows left out (5 %): in line 3, 'reset'",
         ),
         (table("time,az\n", plain) + "\nTrack,Length\n1,219\n2,220\n", set(), "3 of 63 rows"),
         (table("time,az\n", plain, "\n0.03,1,2\n"), set(), "1 of 61 rows"),

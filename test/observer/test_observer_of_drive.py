@@ -13,7 +13,8 @@ from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.io import BagReader
-from impact_observer.io.live_inputs import first_pulse, read_pulse
+from impact_observer.io.live_inputs import first_pulse
+from impact_observer.io.messages import read_pulse
 from impact_observer.io.recordings import events_in
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, make_observer
