@@ -104,7 +104,6 @@ class BaseNode(LifecycleNode):
         self.receivers: list[Receiver[Any]] = []
         self._noted, self._last_note, self._last_kind = Counter[str](), "", ""
         self._noted_at = -_NOTED
-        self.diagnose(tuple)
         self._status_topic = self.publisher(DIAGNOSTIC_ARRAYS)
         self.repeat(1.0, self._end_second)
         self.repeat(_FOLLOW_PERIOD, self._follow_publishers)
@@ -240,9 +239,9 @@ class BaseNode(LifecycleNode):
         """Note an error that does not end the node."""
         self.note(_ERRORS, one_line(error))
 
-    def diagnose(self, statuses: Callable[[], Sequence[DiagnosticStatus]]) -> None:
-        """Publish ``statuses()`` to ``/diagnostics`` every second, before that of every node."""
-        self._reports = statuses
+    def statuses(self) -> Sequence[DiagnosticStatus]:
+        """The diagnostics of a configured node every second, before the status of every node."""
+        return ()
 
     def status(
         self,
@@ -315,7 +314,8 @@ class BaseNode(LifecycleNode):
     def _end_second(self) -> None:
         """Publish the diagnostics of a second, and log how often lines were repeated."""
         self.lines.end_second()
-        array = DiagnosticArray(status=[*self._reports(), self._own_status()])
+        own = self.statuses() if self.is_configured else ()
+        array = DiagnosticArray(status=[*own, self._own_status()])
         array.header.stamp = self.get_clock().now().to_msg()
         self._status_topic.publish(array)
 
@@ -353,7 +353,6 @@ class BaseNode(LifecycleNode):
         """Destroy what ``configure`` made, and what was made later in its callbacks."""
         self.is_configured = self.is_active = False
         self.receivers.clear()
-        self.diagnose(tuple)
         if self._jump is not None:
             self._jump.unregister()
             self._jump = None

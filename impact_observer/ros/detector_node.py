@@ -57,7 +57,6 @@ class DetectorNode(BaseNode):
                 read=lambda message, _: [read_pulse(message)],
             )
         self.repeat(_TICK, self._on_tick)
-        self.diagnose(self._statuses)
         self.when_clock_jumps_back(self._detector.restart)
         contacts = sorted({each.contact for own in self._sources.values() for each in own})
         topics = ", ".join(sorted(self._sources))
@@ -127,7 +126,7 @@ class DetectorNode(BaseNode):
         if now := self.stamp_now():
             self._publish_events(self._detector.advance(now))
 
-    def _statuses(self) -> list[DiagnosticStatus]:
+    def statuses(self) -> list[DiagnosticStatus]:
         """The state of each sensor."""
         return [
             *(

@@ -103,7 +103,6 @@ class ObserverNode(BaseNode):
         self.serve(Trigger, "~/reset", self._on_reset)
         self.serve(SetState, "~/set_state", self._on_set_state)
         self._timer = self.create_timer(1.0 / values["rate"], self._on_timer)
-        self.diagnose(self._statuses)
         self.when_clock_jumps_back(self._on_clock_back)
         known = f", epoch {options.epoch} ns" if options.epoch else ""
         topics = f" and samples on {', '.join(t)}" if (t := self._samples.topics) else ""
@@ -431,7 +430,7 @@ class ObserverNode(BaseNode):
         start = self.observer.start
         return True, "holds at the start" if start is None else f"holds at {start} ns"
 
-    def _statuses(self) -> list[DiagnosticStatus]:
+    def statuses(self) -> list[DiagnosticStatus]:
         """Counts and faults of the observer, and of each sensor."""
         if behind := self._diagnostics.note_backlog(*self.intake.backlog()):
             self.lines.warning(behind)
