@@ -17,11 +17,9 @@ from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros import event_intake
-from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
+from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake, Judged
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.stamps import NS_PER_S
-
-Item = tuple[ImpactEvent, tuple[Verdict, ...]]
 
 
 @dataclass
@@ -32,20 +30,17 @@ class SlowObserver:
         seconds: for each event, s.
         batches: how many events were given together.
         now: the monotonic clock, ns.
-        applied: the events that are applied.
     """
 
     seconds: float
     batches: list[int] = field(default_factory=list)
     now: int = NS_PER_S
-    applied: list[ImpactEvent] = field(default_factory=list)
 
-    def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Item | None]:
+    def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Judged | None]:
         """Apply events as ``Observer.receiving`` does."""
         self.batches.append(len(events))
         for each in events:
             self.now += round(self.seconds * NS_PER_S)
-            self.applied.append(each)
             yield each, (Verdict(each.stamp, Ruling.APPLIED, each.sequence),)
 
     def monotonic_ns(self) -> int:
@@ -64,9 +59,9 @@ def event(number: int) -> ImpactEvent:
     return ImpactEvent(NS_PER_S + number * NS_PER_S, (Switch("stop"),), number, 0, NS_PER_S)
 
 
-def taken(intake: EventIntake) -> list[Item]:
+def taken(intake: EventIntake) -> list[Judged]:
     """Take all waiting events, and return them with their verdicts."""
-    found: list[Item] = []
+    found: list[Judged] = []
     while intake.is_busy:
         found.extend(intake.apply_waiting())
     return found

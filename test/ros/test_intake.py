@@ -24,89 +24,60 @@ from impact_observer.ros.topics import ros_messages
 from impact_observer.stamps import NS_PER_S
 
 
-class Waiting(nullcontext[None]):
-    """Stands for the handle of a subscription with some messages."""
+class Inbox(nullcontext[None]):
+    """Stands for the handle of a subscription, with messages that have arrived."""
 
-    def __init__(self, messages: list[bytes]) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.messages = messages
+        self.messages: list[bytes] = []
 
     def take_message(self, *_: object) -> tuple[bytes, dict[str, int]] | None:
         """Take the first message."""
         return (self.messages.pop(0), {}) if self.messages else None
 
 
-class Inbox:
-    """Stands for a node: ``send`` puts a message into a topic.
-
-    Attributes:
-        now: the time, ns.
-        told: what was logged and noted.
-        receivers: as of a node.
-        values: of parameters.
-    """
-
-    def __init__(self, now: int, type_name: str) -> None:
-        self.now = now
-        self.told: list[str] = []
-        self.lines = SimpleNamespace(error=self.told.append)
-        self.receivers: list[Receiver[Any]] = []
-        self.values = {"future": 1.0, "max_message": 1000, "history": 10.0}
-        self._type = type_name
-        self._waiting: dict[str, list[bytes]] = {}
-
-    def send(self, topic: str, message: object) -> None:
-        """Let a message wait on a topic."""
-        self._waiting[topic].append(serialize_message(message))
-
-    def stamp_now(self) -> int:
-        """The time, ns."""
-        return self.now
-
-    def note(self, _: str, line: str) -> None:
-        """Keep a line."""
-        self.told.append(line)
-
-    def resolve_topic_name(self, name: str) -> str:
-        """The name itself."""
-        return name
-
-    def get_publishers_info_by_topic(self, _: str) -> list[object]:
-        """One publisher of each topic."""
-        return [SimpleNamespace(topic_type=self._type, qos_profile=QoSProfile(depth=1))]
-
-    def create_subscription(self, kind: type, topic: str, *_: object, **__: object) -> object:
-        """A subscription with the messages that are sent."""
-        handle = Waiting(self._waiting.setdefault(topic, []))
-        return SimpleNamespace(handle=handle, msg_type=kind, raw=True)
+def node_of(inbox: Inbox, type_name: str, clock: list[int], told: list[str]) -> Any:  # noqa: ANN401
+    """Stands for a node with a publisher of a type, and with a clock (ns)."""
+    publisher = SimpleNamespace(topic_type=type_name, qos_profile=QoSProfile(depth=1))
+    subscription = SimpleNamespace(handle=inbox, msg_type=None, raw=True)
+    return SimpleNamespace(
+        receivers=[],
+        values={"future": 1.0, "max_message": 1000, "history": 10.0},
+        lines=SimpleNamespace(error=told.append),
+        note=lambda _, line: told.append(line),
+        stamp_now=lambda: clock[0],
+        resolve_topic_name=lambda name: name,
+        create_subscription=lambda *_, **__: subscription,
+        get_publishers_info_by_topic=lambda _: [publisher],
+    )
 
 
 def test_a_pulse_ahead_of_a_late_clock_is_given_when_the_clock_has_come() -> None:
     """Every early pulse is reported; one that is none is refused."""
-    node: Any = Inbox(10 * NS_PER_S, interfaces.HEADER)
-    pulses, interface = list[int](), interfaces.PHASE_REFERENCE
+    inbox, clock, told, pulses = Inbox(), [10 * NS_PER_S], list[str](), list[int]()
     receiver = Receiver(
-        node,
-        interface,
+        node_of(inbox, interfaces.HEADER, clock, told),
+        interfaces.PHASE_REFERENCE,
         pulses.extend,
         read=lambda message, _: [read_pulse(message)],
         stamp=int,
     )
     for second in (10, 12, 13):
-        node.send(interface.name, Header(stamp=ros_messages().time(second * NS_PER_S)))
+        pulse = Header(stamp=ros_messages().time(second * NS_PER_S))
+        inbox.messages.append(serialize_message(pulse))
     receiver.take_arrived()
     assert pulses == [10 * NS_PER_S]
     early = "phase_reference: stamped {}.000 s after the clock; future allows 1 s, and it waits"
-    assert node.told == [early.format(2), early.format(3)]
-    node.now = 11 * NS_PER_S
+    assert told == [early.format(2), early.format(3)]
+    clock[0] = 11 * NS_PER_S
     receiver.take_arrived()
     assert pulses == [10 * NS_PER_S, 12 * NS_PER_S]
     receiver.clear()
-    node.now = 20 * NS_PER_S
-    node.send(interface.name, Header())
+    clock[0] = 20 * NS_PER_S
+    inbox.messages.append(serialize_message(Header()))
     receiver.take_arrived()
     assert len(pulses) == 2
-    assert "Header.stamp" in node.told[-1]
+    assert "Header.stamp" in told[-1]
 
 
 def test_efforts_of_a_robot_are_read_from_a_topic_with_its_encoders() -> None:
@@ -117,25 +88,24 @@ def test_efforts_of_a_robot_are_read_from_a_topic_with_its_encoders() -> None:
     observer = make_observer("hammer_arm", options, measurements=sensors)
     live = observer.live
     assert live is not None
-    node: Any = Inbox(2 * NS_PER_S, interfaces.JOINT_STATE)
-    told = list[int]()
-    intake = SampleIntake(node, observer, lambda since, _: told.append(since))
+    inbox, told, changed = Inbox(), list[str](), list[int]()
+    node = node_of(inbox, interfaces.JOINT_STATE, [2 * NS_PER_S], told)
+    intake = SampleIntake(node, observer, lambda since, _: changed.append(since))
     (topic,) = intake.topics
-    for each in node.receivers:
-        each.follow()
+    node.receivers[0].follow()
     message = JointState(name=["gripper", "elbow", "shoulder"], effort=[float("nan"), 1.5, -0.5])
     message.position = [0.0, 0.5, 0.25]
     message.header.stamp = ros_messages().time(NS_PER_S + 1)
-    node.send(topic, message)
+    inbox.messages.append(serialize_message(message))
     intake.take_arrived()
-    assert told == [NS_PER_S + 1]
+    assert changed == [NS_PER_S + 1]
     assert ages(live, NS_PER_S + 1) == {"shoulder": 0.0, "elbow": 0.0}
     assert live.samples.force[-1].tolist() == [-0.5, 1.5]
     assert intake.without_sample() == ()
     without = JointState(header=message.header, name=["elbow"], position=[0.5])
-    node.send(topic, without)
+    inbox.messages.append(serialize_message(without))
     intake.take_arrived()
     line = f"{topic}: JointState.effort: 0 numbers for 1 names; expected one each"
-    assert line in node.told
+    assert line in told
     assert intake.counts == {"samples": 2, "invalid samples": 1}
     assert observer.samples.counts[1]["samples"] == 2, "its position is used"
