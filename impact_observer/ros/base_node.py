@@ -320,13 +320,15 @@ class BaseNode(LifecycleNode):
         self._status_topic.publish(array)
 
     def _own_status(self) -> DiagnosticStatus:
-        """The status that every node has: of messages that were refused, and of errors."""
+        """The status that every node has: of publishers, refused messages, and errors."""
         level, message = DiagnosticStatus.OK, "no message was refused, and no error has come"
         if count := sum(self._noted.values()):
             message = f"the last of {count}: {self._last_note}"
         if time.monotonic() < self._noted_at + _NOTED:
             is_error = self._last_kind == _ERRORS
             level = DiagnosticStatus.ERROR if is_error else DiagnosticStatus.WARN
+        elif faults := [each.fault for each in self.receivers if each.offers and each.fault]:
+            level, message = DiagnosticStatus.ERROR, "; ".join(faults)
         elif self._doubts:
             level, message = DiagnosticStatus.WARN, self._doubts
         return self.status("node", level, message, self._noted)
