@@ -12,11 +12,15 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.options import Option
 from impact_observer.ros.parameters import MONITOR, OBSERVER
-from impact_observer.ros.wiring import following, local_discovery
+from impact_observer.ros.wiring import (
+    following,
+    given_parameters,
+    local_discovery,
+    parameter_arguments,
+)
 
 SIM_TIME = Option("use_sim_time", False, "follow /clock, of a simulation or a bag")
 PARAMETERS = (*OBSERVER, SIM_TIME)
@@ -26,12 +30,7 @@ def generate_launch_description() -> LaunchDescription:
     """The arguments, the observer, and the monitor if there is to be one."""
     return LaunchDescription(
         [
-            *(_argument(each) for each in PARAMETERS),
-            DeclareLaunchArgument(
-                "params_file",
-                default_value="",
-                description="a file such as config/nodes/observer.yaml",
-            ),
+            *parameter_arguments(PARAMETERS, "observer"),
             DeclareLaunchArgument("name", default_value="observer", description="of the observer"),
             DeclareLaunchArgument(
                 "namespace", default_value="", description="of the nodes and their topics"
@@ -51,13 +50,6 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def _argument(parameter: Option) -> DeclareLaunchArgument:
-    """A parameter as an argument; empty means: as params_file or the node has it."""
-    return DeclareLaunchArgument(
-        parameter.name, default_value="", description=parameter.description
-    )
-
-
 def _nodes(context: LaunchContext) -> list[Node]:
     given = context.launch_configurations
     observer = Node(
@@ -65,7 +57,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
         executable="observer",
         name=given["name"],
         namespace=given["namespace"],
-        parameters=_parameters(context, PARAMETERS),
+        parameters=given_parameters(given, PARAMETERS),
         remappings=[("impacts", given["impacts"])],
         output="screen",
         additional_env=following(),
@@ -75,23 +67,10 @@ def _nodes(context: LaunchContext) -> list[Node]:
         executable="monitor",
         name=given["monitor_name"],
         namespace=given["namespace"],
-        parameters=_parameters(context, (*MONITOR, SIM_TIME)),
+        parameters=given_parameters(given, (*MONITOR, SIM_TIME)),
         remappings=[("observer/joint_states", f"{given['name']}/joint_states")],
         output="screen",
         additional_env=following(),
         condition=IfCondition(LaunchConfiguration("monitor")),
     )
     return [observer, monitor]
-
-
-def _parameters(
-    context: LaunchContext, table: tuple[Option, ...]
-) -> list[str | dict[str, ParameterValue]]:
-    """The file, if there is one, and what beats it."""
-    given = context.launch_configurations
-    values = {
-        each.name: ParameterValue(LaunchConfiguration(each.name), value_type=each.value_type)
-        for each in table
-        if given[each.name]
-    }
-    return [*filter(None, (given["params_file"], values))]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -429,8 +429,22 @@ def read_joint_state(message: AnyMessage) -> JointState:
     )
 
 
-def read_efforts(message: AnyMessage) -> list[tuple[str, int, float]]:
-    """Names, stamps (ns) and values (N) of the forces in a ``sensor_msgs/JointState``.
+class LiveSample(NamedTuple):
+    """A sample of a force.
+
+    Attributes:
+        name: of the input or joint.
+        stamp: time of validity, ns.
+        value: N, or N m of a joint that turns.
+    """
+
+    name: str
+    stamp: int
+    value: float
+
+
+def read_efforts(message: AnyMessage) -> list[LiveSample]:
+    """The samples of forces in a ``sensor_msgs/JointState``.
 
     Raises:
         MessageError: its stamp is not after 0, or there is not one effort for each name.
@@ -440,7 +454,7 @@ def read_efforts(message: AnyMessage) -> list[tuple[str, int, float]]:
         found = f"{len(message.effort)} numbers for {len(message.name)} names"
         raise MessageError(f"JointState.effort: {found}; expected one each")
     forces = zip(message.name, message.effort, strict=True)
-    return [(str(name), stamp, float(value)) for name, value in forces]
+    return [LiveSample(str(name), stamp, float(value)) for name, value in forces]
 
 
 def read_pulse(message: AnyMessage) -> int:

@@ -6,37 +6,32 @@ import gc
 import re
 import time
 from abc import abstractmethod
-from bisect import insort
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
-from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_parameters
-from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
-from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.wait_for_message import wait_for_message
 
 from impact_observer.errors import UnsetError, UsageError
 from impact_observer.io.interfaces import (
     DIAGNOSTIC_ARRAYS,
+    LATCHED,
     SIMULATED_CLOCK,
+    STRING,
     Interface,
-    Quality,
 )
 from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.model import Model
@@ -44,21 +39,10 @@ from impact_observer.options import Option
 from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop, one_line
 from impact_observer.ros import parameters
+from impact_observer.ros.intake import Receiver
 from impact_observer.ros.session import refusals_of_ros
-from impact_observer.ros.topics import (
-    MessageInfo,
-    common_offer,
-    message_class,
-    qos_profile,
-    ros_messages,
-    waiting_messages,
-)
-from impact_observer.stamps import NS_PER_S, from_seconds
+from impact_observer.ros.topics import message_class, qos_profile, ros_messages, waiting_messages
 
-MOST_TOGETHER = 200
-"""Messages that one call of a callback takes at most: then timers and services have their turn."""
-FOLLOWING = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""For a receiver that connects anew where a publisher does not fit: no log line says so."""
 _PAUSE, _MOST_KINDS, _OTHERS = 10.0, 20, "other lines"
 """How long further log lines of a kind are only counted, s; kinds meanwhile, as strangers may name
 contacts; and the kind of the lines for which there is no room."""
@@ -74,15 +58,16 @@ _NOTED = 10.0
 """How long the status of a node is not OK after it has taken note of something, s."""
 _LONGEST = 40
 """Characters of the name of a transition that are logged."""
-_URDF_PATIENCE, _URDF_PERIOD = 10.0, 0.02
-"""How long a node waits for a URDF, and time between two looks for it, s."""
+_FOLLOW_PERIOD = 0.1
+"""Time between two looks at the publishers of the topics that are received, s."""
+_URDF_PATIENCE = 10.0
+"""How long a node waits for a URDF, s."""
 _SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
 _OBJECTS = 10_000, 20, 20
 """New objects after which the youngest are searched for garbage, and ratios for older ones."""
 _SIGNAL_PERIOD = 0.1
 """Longest time until a signal is noticed, s."""
-_Item = TypeVar("_Item")
 
 
 class BaseNode(LifecycleNode):
@@ -91,7 +76,8 @@ class BaseNode(LifecycleNode):
     An inactive node goes on receiving, and ``publish`` publishes nothing.
 
     Attributes:
-        values: the parameters of the node.
+        values: the values of the parameters, by name.
+        receivers: the topics that the node receives.
         lines: the log of the node.
         make: makes ROS messages of our values.
         ends_by: the errors that end the node.
@@ -114,11 +100,12 @@ class BaseNode(LifecycleNode):
         self.values = parameters.declare(self, table)
         self.lines = LogLines(self.get_logger())
         self.make = ros_messages()
+        self.receivers: list[Receiver[Any]] = []
         self._noted, self._last_note, self._last_kind = Counter[str](), "", ""
         self._noted_at = -_NOTED
-        self.diagnose(tuple)
         self._status_topic = self.publisher(DIAGNOSTIC_ARRAYS)
         self.repeat(1.0, self._end_second)
+        self.repeat(_FOLLOW_PERIOD, self._follow_publishers)
         self.repeat(_LOOK_PERIOD, self.warn_of_surroundings)
         self._doubts = "; ".join(self._unknown_parameters())
         if self._doubts:
@@ -128,7 +115,7 @@ class BaseNode(LifecycleNode):
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
         self._failures: list[Exception] = []
-        if self.values.flag("autostart"):
+        if self.values["autostart"]:
             self.trigger_configure()
             if self._failures:
                 self.destroy_node()
@@ -251,9 +238,9 @@ class BaseNode(LifecycleNode):
         """Note an error that does not end the node."""
         self.note(_ERRORS, one_line(error))
 
-    def diagnose(self, statuses: Callable[[], Sequence[DiagnosticStatus]]) -> None:
-        """Publish ``statuses()`` to ``/diagnostics`` every second, before that of every node."""
-        self._reports = statuses
+    def statuses(self) -> Sequence[DiagnosticStatus]:
+        """The diagnostics of a configured node every second, before the status of every node."""
+        return ()
 
     def status(
         self,
@@ -303,40 +290,44 @@ class BaseNode(LifecycleNode):
         robot = model.robot
         if robot is None or robot.urdf is not None:
             return model
-        latched, kind = (
-            Quality(transient_local=True, depth=1),
-            message_class("std_msgs/msg/String"),
+        got, message = wait_for_message(
+            message_class(STRING),
+            self,
+            robot.topic,
+            qos_profile=qos_profile(LATCHED),
+            time_to_wait=_URDF_PATIENCE,
         )
-        subscription = self.create_subscription(
-            kind, robot.topic, lambda _: None, qos_profile(latched)
-        )
-        end = time.monotonic() + _URDF_PATIENCE
-        while not (got := [*waiting_messages(subscription, 1)]) and time.monotonic() < end:
-            time.sleep(_URDF_PERIOD)
-        self.destroy_subscription(subscription)
         if not got:
             raise UsageError(
-                f"{robot.name}: no URDF came on the topic {subscription.topic_name} within"
-                f" {_URDF_PATIENCE:g} s; expected a latched std_msgs/String, as of"
+                f"{robot.name}: no URDF came on the topic {self.resolve_topic_name(robot.topic)}"
+                f" within {_URDF_PATIENCE:g} s; expected a latched std_msgs/String, as of"
                 " robot_state_publisher"
             )
-        return model.with_urdf(got[0][0].data)
+        return model.with_urdf(message.data)
+
+    def _follow_publishers(self) -> None:
+        """Let all receivers follow the publishers of their topics."""
+        for each in self.receivers:
+            each.follow()
 
     def _end_second(self) -> None:
         """Publish the diagnostics of a second, and log how often lines were repeated."""
         self.lines.end_second()
-        array = DiagnosticArray(status=[*self._reports(), self._own_status()])
+        own = self.statuses() if self.is_configured else ()
+        array = DiagnosticArray(status=[*own, self._own_status()])
         array.header.stamp = self.get_clock().now().to_msg()
         self._status_topic.publish(array)
 
     def _own_status(self) -> DiagnosticStatus:
-        """The status that every node has: of messages that were refused, and of errors."""
+        """The status that every node has: of publishers, refused messages, and errors."""
         level, message = DiagnosticStatus.OK, "no message was refused, and no error has come"
         if count := sum(self._noted.values()):
             message = f"the last of {count}: {self._last_note}"
         if time.monotonic() < self._noted_at + _NOTED:
             is_error = self._last_kind == _ERRORS
             level = DiagnosticStatus.ERROR if is_error else DiagnosticStatus.WARN
+        elif faults := [each.fault for each in self.receivers if each.offers and each.fault]:
+            level, message = DiagnosticStatus.ERROR, "; ".join(faults)
         elif self._doubts:
             level, message = DiagnosticStatus.WARN, self._doubts
         return self.status("node", level, message, self._noted)
@@ -362,7 +353,7 @@ class BaseNode(LifecycleNode):
     def _forget(self) -> None:
         """Destroy what ``configure`` made, and what was made later in its callbacks."""
         self.is_configured = self.is_active = False
-        self.diagnose(tuple)
+        self.receivers.clear()
         if self._jump is not None:
             self._jump.unregister()
             self._jump = None
@@ -488,187 +479,3 @@ class LogLines:
 def without_numbers(line: str) -> str:
     """The line with N for each number."""
     return re.sub(r"-?\d+(\.\d+)?(e[+-]?\d+)?", "N", line)
-
-
-class ClockGate(Generic[_Item]):
-    """Items stamped too far ahead of a clock wait until the clock is near: it may be late."""
-
-    def __init__(self, now: Callable[[], int], future: float, most: int) -> None:
-        """Let at most ``most`` items wait, those with the least stamps.
-
-        Args:
-            now: time of the clock, ns; 0 while there is none.
-            future: how far ahead of the clock a stamp may be, s.
-            most: items that wait.
-        """
-        self._now, self._future, self._most = now, from_seconds(future), most
-        self._items: list[tuple[int, int, _Item]] = []
-        self._number = 0
-
-    def __len__(self) -> int:
-        """Number of items that wait."""
-        return len(self._items)
-
-    def reason(self, stamp: int, what: str = "stamped") -> str:
-        """Why an item with a ``stamp`` (ns) has to wait; empty if it has not."""
-        if not (now := self._now()):
-            return "no /clock has come, by which to judge its stamp; it is taken then"
-        if (ahead := stamp - now) <= self._future:
-            return ""
-        most = f"future allows {self._future / NS_PER_S:g} s, and it waits"
-        return f"{what} {ahead / NS_PER_S:.3f} s after the clock; {most}"
-
-    def keep(self, stamp: int, item: _Item) -> _Item | None:
-        """Let ``item`` wait for ``stamp`` (ns).
-
-        Returns:
-            The item with the largest stamp if there is no room for it; else None.
-        """
-        self._number += 1
-        insort(self._items, (stamp, self._number, item))
-        return self._items.pop()[2] if len(self._items) > self._most else None
-
-    def near(self) -> Iterator[_Item]:
-        """Yields the items that need not wait any more, by stamp, then in order of arrival."""
-        while self._items and not self.reason(self._items[0][0]):
-            yield self._items.pop(0)[2]
-
-    def clear(self) -> None:
-        """Forget all items."""
-        self._items.clear()
-
-
-class PolledGroup(CallbackGroup):
-    """A subscription whose messages are polled by ``Receiver.waiting``.
-
-    The executor does not wake for each of these messages: that takes longer than to read one.
-
-    Attributes:
-        has_messages: whether a message has come. Events of the middleware, such as a publisher
-            that does not fit, are waited for until then, as each message wakes who waits for them.
-    """
-
-    has_messages = False
-
-    def can_execute(self, entity: object) -> bool:
-        """Whether the executor waits for ``entity``."""
-        return not (self.has_messages or isinstance(entity, Subscription))
-
-    def beginning_execution(self, entity: object) -> bool:
-        """Whether the callback of ``entity`` may begin: always, as there is one thread."""
-        del entity
-        return True
-
-    def ending_execution(self, entity: object) -> None:
-        """Take note that the callback of ``entity`` has ended."""
-
-
-class Receiver:
-    """Receives the messages of one topic, whose publishers may change their type and quality.
-
-    Messages are taken as bytes. A message that is longer than the parameter ``max_message`` is
-    refused before its conversion, which may take seconds. So is a message that cannot be
-    converted or read. The node counts and tells what is refused.
-
-    Attributes:
-        topic: absolute name of the topic.
-        offers: by type, the quality that all publishers offer, as of the last ``look``. One that
-            was volatile stays so while there is a publisher: past messages would come again.
-        type_name: type of the messages that are received; empty while none are.
-        most_together: messages that are handed over together at most.
-    """
-
-    def __init__(
-        self,
-        node: BaseNode,
-        topic: str,
-        on_messages: Callable[[list[Any]], None],
-        *,
-        read: Callable[[AnyMessage, MessageInfo], object] = lambda message, _: message,
-        event_callbacks: SubscriptionEventCallbacks | None = None,
-        group: CallbackGroup | None = None,
-    ) -> None:
-        """Receive nothing yet.
-
-        Args:
-            node: owner of the subscription, with the parameter ``max_message``.
-            topic: name of the topic.
-            on_messages: called with what is read of messages that wait together, in the order of
-                arrival; at least one.
-            read: what is handed over for a message; may raise a ``MessageError``.
-            event_callbacks: called for events of the middleware; None for the usual log lines.
-            group: callback group; None for that of the node.
-        """
-        self._node, self._group, self._event_callbacks = node, group, event_callbacks
-        self._on_messages, self._read = on_messages, read
-        self._most_bytes = node.values.integer("max_message")
-        self._quality: Quality | None = None
-        self._subscription: Subscription | None = None
-        self.topic: str = node.resolve_topic_name(topic)
-        self.offers: dict[str, Quality] = {}
-        self.type_name = ""
-        self.most_together = MOST_TOGETHER
-
-    @property
-    def fault(self) -> str:
-        """What is wrong with the publishers, as of the last ``look``; empty for nothing."""
-        if not self.offers:
-            return f"no node publishes {self.topic}"
-        others = ", ".join(each for each in self.offers if each != self.type_name)
-        return f"{self.topic}: {others} is published and not received" if others else ""
-
-    def look(self) -> bool:
-        """Look at the publishers; whether they offer other types or qualities than before."""
-        by_type: dict[str, list[TopicEndpointInfo]] = {}
-        for each in self._node.get_publishers_info_by_topic(self.topic):
-            by_type.setdefault(each.topic_type, []).append(each)
-        before, self.offers = self.offers, {}
-        for name, publishers in by_type.items():
-            offer = common_offer(self.topic, publishers)
-            keeps = offer.transient_local and before.get(name, offer).transient_local
-            self.offers[name] = replace(offer, transient_local=keeps)
-        return self.offers != before
-
-    def connect(self, type_name: str, quality: Quality) -> None:
-        """Receive messages of a type, with a quality of service, from now on.
-
-        Raises:
-            UsageError: the type is not installed.
-        """
-        if (type_name, quality) == (self.type_name, self._quality):
-            return
-        kind = message_class(type_name)
-        if self._subscription is not None:
-            self._node.destroy_subscription(self._subscription)
-        self.type_name, self._quality = type_name, quality
-        self._subscription = self._node.create_subscription(
-            kind,
-            self.topic,
-            self._take,
-            qos_profile(quality),
-            callback_group=self._group,
-            event_callbacks=self._event_callbacks,
-            raw=True,
-        )
-
-    def waiting(self, most: int) -> list[Any]:
-        """What is read of up to ``most`` messages that have arrived already."""
-        if self._subscription is None:
-            return []
-        taken = waiting_messages(self._subscription, most)
-        return [used for each in taken for used in self._used(*each)]
-
-    def _take(self, data: bytes, info: MessageInfo) -> None:
-        """Hand over a message and those that wait behind it."""
-        if got := [*self._used(data, info), *self.waiting(self.most_together - 1)]:
-            self._on_messages(got)
-
-    def _used(self, data: bytes, info: MessageInfo) -> Iterator[Any]:
-        """Yields what is read of a message, unless the message is refused."""
-        try:
-            if len(data) > self._most_bytes:
-                limit = f"max_message allows {self._most_bytes}"
-                raise MessageError(f"a message of {len(data)} bytes; {limit}")
-            yield self._read(deserialize_message(data, message_class(self.type_name)), info)
-        except Exception as error:  # noqa: BLE001 (anybody may publish anything)
-            self._node.note(f"{self.topic}: refused", f"{self.topic}: {error}")

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The demonstration: plant, observers and monitors run as processes, and are recorded."""
 
-import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import IO
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -42,8 +42,6 @@ _START_UP = 30.0
 """How long the processes may take to appear on the graph, s."""
 _SHUT_DOWN = 10.0
 """How long a process may take to end after SIGINT, s."""
-_SILENCE = 20.0
-"""Time without a message after which the plant counts as dead, s."""
 _CATCH_UP = 5.0
 """How long the observers may continue after the plant has ended, s."""
 _DISCOVERY = 1.5
@@ -98,45 +96,59 @@ def run(
         check(TABLES[each.executable], each.parameters)
     os.environ.setdefault(DISCOVERY, LOCAL)  # nobody else's nodes, on no other machine
     bag, logs = folder / "bag", folder / "logs"
-    with (
-        Stop() as stop,
-        ros_node("demo", use_sim_time=True) as (node, executor),
-        contextlib.ExitStack() as later,
-    ):
+    with Stop() as stop, ros_node("demo", use_sim_time=True) as (node, executor):
+
+        def spin(what: str) -> None:
+            """Let messages in; raise the error of a process that failed, or a signal."""
+            spin_once(executor, node, _SPIN)
+            processes.check()
+            if stop.requested:
+                raise Interrupt(stop.number, what)
+
         _refuse_other_nodes(node, executor)
-        _make(folder)
-        logs.mkdir()
-        writer = later.enter_context(BagWriter(bag))
-        recorder, progress = Recorder(node, writer), DemoProgress()
-        _subscribe(node, setup, progress)
-        with _processes(setup, logs) as processes:
-            _wait_for_connections(executor, recorder, processes, stop, setup=setup, logs=logs)
-            with _process(plant(setup, recorders=1), logs) as master:
-                last_message, count = time.monotonic(), -1
-                while master.poll() is None and not stop.requested:
-                    spin_once(executor, node, _SPIN)
-                    _check_all(processes, logs)
-                    show(progress)
-                    if writer.message_count > count:
-                        last_message, count = time.monotonic(), writer.message_count
-                    elif time.monotonic() > last_message + _SILENCE:
-                        raise DemonstrationError(f"plant: silent for {_SILENCE:g} s; see {logs}")
-                if stop.requested:
-                    raise Interrupt(stop.number, f"what was recorded is in {bag}")
-                _check("plant", master, logs)
-            _let_catch_up(executor, setup, progress)
+        try:
+            folder.mkdir()
+            logs.mkdir()
+        except OSError as error:
+            why = f"{folder}: cannot be made: {error.strerror}"
+            raise UsageError(f"{why}; remove it or choose another name") from None
+        with BagWriter(bag) as writer, _Processes(logs) as processes:
+            recorder, progress = Recorder(node, writer), DemoProgress()
+            _subscribe(node, setup, progress)
+            for each in (*observers(setup), *monitors(setup)):
+                processes.start(each)
+            _wait_for_connections(setup, recorder, partial(spin, "the plant had not begun"))
+            recorded = f"what was recorded is in {bag}"
+            master = processes.start(plant(setup, recorders=1))
+            while master.poll() is None:
+                spin(recorded)
+                show(progress)
+            _let_catch_up(setup, progress, partial(spin, recorded))
             drain(executor, writer)
             recorder.close()
+        processes.check()
     return bag
 
 
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        raise UsageError(f"{folder}: exists already; remove it or choose another name") from None
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot be made: {error.strerror}") from None
+def _wait_for_connections(setup: DemoSetup, recorder: Recorder, spin: Callable[[], None]) -> None:
+    """Spin until the recorder is connected to all observers and monitors."""
+    until, missing = time.monotonic() + _START_UP, list[str]()
+    for law in setup.laws:
+        missing += [f"{observer_name(law)}/{n}" for n in ("state", "joint_states", "verdicts")]
+        missing.append(f"{monitor_name(law)}/error")
+    while missing := [each for each in missing if not recorder.is_connected(each)]:
+        spin()
+        if time.monotonic() > until:
+            raise DemonstrationError(f"{missing[0]}: not received after {_START_UP:g} s")
+
+
+def _let_catch_up(setup: DemoSetup, progress: DemoProgress, spin: Callable[[], None]) -> None:
+    """Spin until the estimates have reached the end of the plant's run."""
+    until, end = time.monotonic() + _CATCH_UP, setup.duration - 1.5 / setup.rate
+    while any(progress.reached.get(law, 0.0) < end for law in setup.laws):
+        spin()
+        if time.monotonic() > until:
+            return
 
 
 def _subscribe(node: Node, setup: DemoSetup, progress: DemoProgress) -> None:
@@ -177,100 +189,47 @@ def _refuse_other_nodes(node: Node, executor: SingleThreadedExecutor) -> None:
             )
 
 
-def _wait_for_connections(
-    executor: SingleThreadedExecutor,
-    recorder: Recorder,
-    processes: Mapping[str, "subprocess.Popen[bytes]"],
-    stop: Stop,
-    *,
-    setup: DemoSetup,
-    logs: Path,
-) -> None:
-    """Wait until the recorder is connected to all observers and monitors."""
-    topics = [
-        topic
-        for law in setup.laws
-        for topic in (
-            f"{observer_name(law)}/state",
-            f"{observer_name(law)}/joint_states",
-            f"{observer_name(law)}/verdicts",
-            f"{monitor_name(law)}/error",
-        )
-    ]
-    until = time.monotonic() + _START_UP
-    while missing := [topic for topic in topics if not recorder.is_connected(topic)]:
-        executor.spin_once(timeout_sec=_SPIN)
-        _check_all(processes, logs)
-        if stop.requested:
-            raise Interrupt(stop.number, "the plant had not begun")
-        if time.monotonic() > until:
-            raise DemonstrationError(f"{missing[0]}: not received after {_START_UP:g} s")
+class _Processes(ExitStack):
+    """Nodes as processes, each in a session of its own, so that Ctrl-C does not reach them."""
+
+    def __init__(self, logs: Path) -> None:
+        """Write logs into the folder ``logs``; all end with the block, one after the other."""
+        super().__init__()
+        self._logs = logs
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, node: NodeSetup) -> "subprocess.Popen[bytes]":
+        """Run a node until the block ends."""
+        with (self._logs / f"{node.name}.log").open("wb") as log:
+            process = self._running[node.name] = subprocess.Popen(
+                [sys.executable, "-m", *node_arguments(node)],
+                env={**os.environ, **following()},
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        self.callback(_end, process)
+        return process
+
+    def check(self) -> None:
+        """Raise DemonstrationError with the last line of a process that has failed."""
+        for name, process in self._running.items():
+            if process.poll() not in {None, 0}:
+                lines = (self._logs / f"{name}.log").read_text(errors="replace").split("\n")
+                last = next((f": {each}" for each in reversed(lines) if each.strip()), "")
+                raise DemonstrationError(f"{name} ended with exit code {process.returncode}{last}")
 
 
-def _let_catch_up(
-    executor: SingleThreadedExecutor, setup: DemoSetup, progress: DemoProgress
-) -> None:
-    """Wait until the estimates have reached the end of the plant's run."""
-    until, end = time.monotonic() + _CATCH_UP, setup.duration - 1.5 / setup.rate
-    while any(progress.reached.get(law, 0.0) < end for law in setup.laws):
-        if time.monotonic() > until:
-            return
-        executor.spin_once(timeout_sec=_SPIN)
-
-
-@contextlib.contextmanager
-def _processes(setup: DemoSetup, logs: Path) -> Iterator[dict[str, "subprocess.Popen[bytes]"]]:
-    """Run observers and monitors until the block ends."""
-    with contextlib.ExitStack() as stack:
-        processes = {
-            each.name: stack.enter_context(_process(each, logs))
-            for each in (*observers(setup), *monitors(setup))
-        }
-        yield processes
-
-
-@contextlib.contextmanager
-def _process(node: NodeSetup, logs: Path) -> Iterator["subprocess.Popen[bytes]"]:
-    """Run a node as a process in a session of its own, so that Ctrl-C does not reach the node."""
-    with (logs / f"{node.name}.log").open("wb") as log:
-        process = _spawn(node_arguments(node), log)
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-            try:
-                process.wait(_SHUT_DOWN)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-    if process.returncode != 0 and sys.exc_info()[0] is None:
-        _check(node.name, process, logs)
-
-
-def _spawn(arguments: Sequence[str], log: IO[bytes]) -> "subprocess.Popen[bytes]":
-    return subprocess.Popen(
-        [sys.executable, "-m", *arguments],
-        env={**os.environ, **following()},
-        stdin=subprocess.DEVNULL,
-        stdout=log,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-    )
-
-
-def _check_all(processes: Mapping[str, "subprocess.Popen[bytes]"], logs: Path) -> None:
-    for name, process in processes.items():
-        _check(name, process, logs)
-
-
-def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path) -> None:
-    """Raise DemonstrationError with the last line of a process if the process has failed."""
-    if process.poll() in (None, 0):
-        return
-    lines = (logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
-    last = f": {lines[-1]}" if lines else ""
-    raise DemonstrationError(f"{name} ended with exit code {process.returncode}{last}")
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """End a process by SIGINT, else by SIGKILL."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    try:
+        process.wait(_SHUT_DOWN)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def node_arguments(node: NodeSetup) -> list[str]:

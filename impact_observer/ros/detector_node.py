@@ -3,26 +3,26 @@
 
 from collections.abc import Sequence
 from functools import partial
+from typing import TypeAlias
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from impact_observer.detector import Detection, Detector, SensorCounts, Source, read_sources
 from impact_observer.detector.source import SWITCH
-from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
-from impact_observer.io.interfaces import Quality
+from impact_observer.io.interfaces import Interface, Quality
 from impact_observer.io.messages import AnyMessage, read_pulse
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import FOLLOWING, MOST_TOGETHER, BaseNode, Receiver
+from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.intake import MOST_TOGETHER, Receiver
 from impact_observer.ros.topics import MessageInfo, message_class
 from impact_observer.stamps import text
 
-_DISCOVERY_PERIOD = 0.1
-"""How often the graph is searched for the sensors' topics, s."""
 _TICK = 0.01
 """How often the present time is given to the detector, s."""
 _DEPTH = 5000
 """Messages of a sensor that may wait: half a second at 10 kHz."""
+_Taken: TypeAlias = tuple[AnyMessage, MessageInfo]
 
 
 class DetectorNode(BaseNode):
@@ -39,65 +39,52 @@ class DetectorNode(BaseNode):
 
     def configure(self) -> None:
         """Implement ``BaseNode``."""
-        self._detector = Detector(epoch=self.values.integer("epoch"))
+        self._detector = Detector(epoch=self.values["epoch"])
         self._sources: dict[str, list[Source]] = {}
-        for each in read_sources(self.values.text("sources")):
+        for each in read_sources(self.values["sources"]):
             self._sources.setdefault(self.resolve_topic_name(each.topic), []).append(each)
-        self._receivers = {topic: self._receiver(topic) for topic in self._sources}
         self._indices: dict[str, list[int]] = {}
-        self._problems: dict[str, str] = {}
         self._last_counts: dict[int, tuple[int, int]] = {}
         self._unstamped = 0
         self._impacts = self.publisher(interfaces.IMPACTS)
+        self._receivers = {topic: self._receiver(topic) for topic in self._sources}
         if not self._detector.epoch:
-            pulses = interfaces.PHASE_REFERENCE
             Receiver(
-                self, pulses.name, self._on_pulses, read=lambda message, _: read_pulse(message)
-            ).connect(pulses.type, pulses.quality)
-        self.repeat(_DISCOVERY_PERIOD, self._discover)
+                self,
+                interfaces.PHASE_REFERENCE,
+                self._on_pulses,
+                read=lambda message, _: [read_pulse(message)],
+            )
         self.repeat(_TICK, self._on_tick)
-        self.diagnose(self._statuses)
         self.when_clock_jumps_back(self._detector.restart)
         contacts = sorted({each.contact for own in self._sources.values() for each in own})
         topics = ", ".join(sorted(self._sources))
         self.introduce(f"contacts {', '.join(contacts)}", f"publishers of {topics}")
 
-    def _receiver(self, topic: str) -> Receiver:
+    def _receiver(self, topic: str) -> Receiver[_Taken]:
         """The receiver of a topic, whose messages keep their time of publication."""
+        # Under simulated time the others wait for the clock, which stamps them.
+        most = 1 if self.get_clock().ros_time_is_active else MOST_TOGETHER
         return Receiver(
             self,
-            topic,
+            Interface(topic, "", Quality(depth=_DEPTH)),
             partial(self._on_messages, topic),
-            read=lambda *message_and_info: message_and_info,
-            event_callbacks=FOLLOWING,
+            read=lambda *message_and_info: [message_and_info],
+            choose=partial(self._choose, topic),
+            most_together=most,
         )
 
-    def _discover(self) -> None:
-        """Follow the publishers of the sensors' topics: their types, and what they offer."""
-        for topic, receiver in self._receivers.items():
-            # Under simulated time the others wait for the clock, which stamps them.
-            receiver.most_together = 1 if self.get_clock().ros_time_is_active else MOST_TOGETHER
-            if receiver.look():
-                self._connect(topic, receiver)
+    def _choose(self, topic: str, type_name: str, offer: Quality) -> Quality:
+        """What all publishers offer, if the sources of a topic suit the type.
 
-    def _connect(self, topic: str, receiver: Receiver) -> None:
-        """Subscribe to the first type of a topic that suits its sources, with what all offer."""
-        self._problems[topic] = ""
-        for type_name in {receiver.type_name} & receiver.offers.keys() or receiver.offers:
-            try:
-                complete = [each.complete(type_name) for each in self._sources[topic]]
-                message_class(type_name)
-            except UsageError as error:
-                self._problems[topic] = str(error)
-                self.lines.error(str(error))
-                continue
-            self._problems[topic] = ""
-            self._put(topic, complete)
-            offered = receiver.offers[type_name]
-            latched = offered.transient_local and self._wants_past_messages(topic)
-            quality = Quality(offered.reliable, offered.reliable and latched, _DEPTH)
-            receiver.connect(type_name, quality)
-            return
+        Raises:
+            UsageError: they do not, or the type is not installed.
+        """
+        complete = [each.complete(type_name) for each in self._sources[topic]]
+        message_class(type_name)
+        self._put(topic, complete)
+        latched = offer.transient_local and self._wants_past_messages(topic)
+        return Quality(offer.reliable, offer.reliable and latched, _DEPTH)
 
     def _put(self, topic: str, sources: Sequence[Source]) -> None:
         """Detect in a topic by ``sources`` from now on, which are complete."""
@@ -111,7 +98,7 @@ class DetectorNode(BaseNode):
         kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
         return SWITCH in kinds and not self.get_clock().ros_time_is_active
 
-    def _on_messages(self, topic: str, taken: Sequence[tuple[AnyMessage, MessageInfo]]) -> None:
+    def _on_messages(self, topic: str, taken: Sequence[_Taken]) -> None:
         """Publish the events in messages, unless simulated time has not begun."""
         for message, info in taken:
             arrival = self.stamp_now()
@@ -138,7 +125,7 @@ class DetectorNode(BaseNode):
         if now := self.stamp_now():
             self._publish_events(self._detector.advance(now))
 
-    def _statuses(self) -> list[DiagnosticStatus]:
+    def statuses(self) -> list[DiagnosticStatus]:
         """The state of each sensor."""
         return [
             *(
@@ -154,7 +141,7 @@ class DetectorNode(BaseNode):
         """Level and message of what is wrong with the publishers of a topic."""
         receiver = self._receivers[topic]
         level = DiagnosticStatus.ERROR if receiver.offers else DiagnosticStatus.WARN
-        return level, self._problems.get(topic, "") or receiver.fault
+        return level, receiver.fault
 
     def _sensor_status(self, topic: str, index: int) -> DiagnosticStatus:
         """The status of a sensor that has had a publisher."""

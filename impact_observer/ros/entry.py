@@ -5,6 +5,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
 from itertools import takewhile
 from textwrap import fill
@@ -40,26 +41,6 @@ parameters:
 """
 
 
-def plant(args: Sequence[str] | None = None) -> int:
-    """Run the plant node."""
-    return _run("plant", args)
-
-
-def detector(args: Sequence[str] | None = None) -> int:
-    """Run the detector node."""
-    return _run("detector", args)
-
-
-def observer(args: Sequence[str] | None = None) -> int:
-    """Run the observer node."""
-    return _run("observer", args)
-
-
-def monitor(args: Sequence[str] | None = None) -> int:
-    """Run the monitor node."""
-    return _run("monitor", args)
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node that the first argument names; the other arguments are for ROS."""
     parser = argparse.ArgumentParser(prog="impact_observer.ros.entry")
@@ -78,7 +59,7 @@ def _help(name: str) -> str:
     return "\n".join(lines)
 
 
-def _run(name: str, args: Sequence[str] | None) -> int:
+def _run(name: str, args: Sequence[str] | None = None) -> int:
     """Run a node until Ctrl-C, SIGTERM, its own end or an error.
 
     Signals are handled from before the heavy imports on, so that an early signal ends the process
@@ -106,6 +87,8 @@ def _run(name: str, args: Sequence[str] | None) -> int:
 
     return run(name, job, own=args is None)
 
+
+plant, detector, observer, monitor = (partial(_run, name) for name in NODES)
 
 if __name__ == "__main__":
     sys.exit(main())

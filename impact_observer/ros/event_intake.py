@@ -3,18 +3,16 @@
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import chain, islice
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
-from impact_observer.io.messages import AnyMessage, MessageError, read_event
 from impact_observer.observer import Observer
-from impact_observer.ros.base_node import ClockGate
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000
-"""Events that wait to be applied, and as many that wait for the clock: the depth of the topic."""
+"""Events that wait to be applied: the depth of the topic."""
 PATIENCE = 30 * NS_PER_S
 """How long an event may wait for an observer that cannot keep up, ns."""
 _SLICE = 5_000_000
@@ -40,7 +38,7 @@ class WaitingEvent(NamedTuple):
 
 
 class EventIntake:
-    """Takes messages of events, and applies the events to an observer.
+    """Takes events, and applies them to an observer.
 
     - Events that wait together are given to the observer in one batch, so that late events cost
       one run of the observer.
@@ -49,48 +47,25 @@ class EventIntake:
     - Where ``MOST_WAITING`` events wait and another one comes, every second one is dropped, and of
       those that come every second one, until the observer takes the others. So these are in the
       order in which they came, and evenly spread.
-    - An event that is too far ahead of the clock is rejected, and applied once the clock is near:
-      perhaps the clock is late.
 
     Attributes:
-        counts: ``future``: events ahead of the clock; ``invalid``: messages without a valid
-            event; ``overflow``: events that were dropped; ``waited``: events that waited too
-            long.
+        counts: ``overflow``: events that were dropped; ``waited``: events that waited too long.
     """
 
-    def __init__(
-        self,
-        observer: Observer,
-        now: Callable[[], int],
-        future: float,
-        counts: Counter[str],
-    ) -> None:
-        """Apply events to ``observer`` that are at most ``future`` (s) ahead of ``now()`` (ns).
-
-        Args:
-            observer: takes the events.
-            now: time of the node's clock, ns; 0 while there is none.
-            future: how far ahead of the clock a stamp may be, s.
-            counts: counter to add to.
-        """
+    def __init__(self, observer: Observer, counts: Counter[str]) -> None:
+        """Apply events to ``observer``, and add to ``counts``."""
         self._observer = observer
         self.counts = counts
         self._waiting: deque[WaitingEvent] = deque()
         self._come, self._stride = 0, 1
         self._batch: list[WaitingEvent] = []
-        self._ahead = ClockGate[ImpactEvent](now, future, MOST_WAITING)
         self._refused: deque[Judged] = deque()
         self._work: Iterator[Judged | None] | None = None
 
     @property
     def is_busy(self) -> bool:
-        """Whether ``apply_waiting`` has work that does not depend on the clock."""
+        """Whether ``apply_waiting`` has work."""
         return bool(self._work is not None or self._waiting or self._refused)
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether no event is kept, not even one ahead of the clock."""
-        return not (self.is_busy or self._ahead)
 
     def backlog(self) -> tuple[int, float]:
         """Number of events that are not applied yet, and waiting time of the oldest, s."""
@@ -106,30 +81,13 @@ class EventIntake:
         """Whether an event has waited for long."""
         return self.backlog()[1] > _BEHIND
 
-    def take_message(self, message: AnyMessage) -> str:
-        """Keep the event of an ``ImpactEvent`` message for the next slice of work.
+    def take(self, event: ImpactEvent, *, was_ahead: bool = False) -> None:
+        """Let an event wait for the next slice of work; where too many wait, thin them evenly.
 
-        Returns:
-            Why the message cannot be used; empty if the event is kept.
+        Args:
+            event: the event.
+            was_ahead: whether the event was rejected before, as it was ahead of the clock.
         """
-        try:
-            event = read_event(message)
-        except MessageError as error:
-            self.counts["invalid"] += 1
-            return str(error)
-        latest = max(event.stamp, event.epoch)
-        what = "stamped" if event.stamp == latest else "its epoch is"
-        if reason := self._ahead.reason(latest, what):
-            self.counts["future"] += 1
-            self._refuse(event, reason)
-            if self._ahead.keep(latest, event) is not None:
-                self.counts["overflow"] += 1
-        else:
-            self._keep(WaitingEvent(event, time.monotonic_ns(), was_ahead=False))
-        return ""
-
-    def _keep(self, event: WaitingEvent) -> None:
-        """Let an event wait; where too many wait, thin them evenly."""
         if len(self._waiting) >= MOST_WAITING:
             kept = deque(islice(self._waiting, 0, None, 2))
             self.counts["overflow"] += len(self._waiting) - len(kept)
@@ -139,12 +97,11 @@ class EventIntake:
         if self._come % self._stride:
             self.counts["overflow"] += 1
         else:
-            self._waiting.append(event)
+            self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead))
 
     def clear(self) -> None:
         """Forget all events that wait, as after a jump of the clock."""
         self._waiting.clear()
-        self._ahead.clear()
         self._work = None
 
     def finish(self) -> Iterator[Judged]:
@@ -156,7 +113,6 @@ class EventIntake:
     def apply_waiting(self) -> Iterator[Judged]:
         """Apply events for some milliseconds; yields each event with its verdicts."""
         end = time.monotonic_ns() + _SLICE
-        self._take_what_was_ahead()
         self._refuse_what_waited()
         while self._refused:
             yield self._refused.popleft()
@@ -203,14 +159,9 @@ class EventIntake:
         while self._waiting and self._waiting[0].since < latest:
             self.counts["waited"] += 1
             limit = f"waited for more than {PATIENCE // NS_PER_S} s"
-            self._refuse(self._waiting.popleft().event, f"{limit}: the observer cannot keep up")
+            self.reject(self._waiting.popleft().event, f"{limit}: the observer cannot keep up")
 
-    def _refuse(self, event: ImpactEvent, reason: str) -> None:
-        """Keep a rejection, to be returned by the next slice of work."""
+    def reject(self, event: ImpactEvent, reason: str) -> None:
+        """Keep the rejection of an event, to be returned by the next slice of work."""
         verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
         self._refused.append((event, (verdict,)))
-
-    def _take_what_was_ahead(self) -> None:
-        """Let the events wait to be applied to which the clock has come near."""
-        for event in islice(self._ahead.near(), max(MOST_WAITING - len(self._waiting), 0)):
-            self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead=True))

@@ -5,23 +5,19 @@ No other node receives both truth and estimates.
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from impact_observer.dynamics import mechanism_of
 from impact_observer.io import interfaces
-from impact_observer.io.interfaces import Quality
-from impact_observer.io.messages import (
-    AnyMessage,
-    EstimateError,
-    JointState,
-    read_joint_state,
-)
+from impact_observer.io.interfaces import Interface, Quality
+from impact_observer.io.messages import EstimateError, JointState, read_joint_state
 from impact_observer.model import read_model
 from impact_observer.model.multibody import errors_of, multibody_of
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import BaseNode, Receiver
+from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.intake import Receiver
 
 _DEPTH = 2000
 """States that are kept until their counterpart arrives, and depth of the subscriptions."""
@@ -35,26 +31,31 @@ class MonitorNode(BaseNode):
 
     def configure(self) -> None:
         """Implement ``BaseNode``."""
-        self._system = multibody_of(read_model(self.values.text("model")))
+        self._system = multibody_of(read_model(self.values["model"]))
         self._mechanism = mechanism_of(self._system)
         self._truth: OrderedDict[int, JointState] = OrderedDict()
         self._waiting: OrderedDict[int, JointState] = OrderedDict()
         self._errors = self.publisher(interfaces.MONITOR_ERROR)
-        quality = Quality(depth=_DEPTH)
-        truth = Receiver(self, "plant/joint_states", self._on_truth, read=self._state)
-        estimates = Receiver(self, "observer/joint_states", self._on_estimates, read=self._state)
-        for each in (truth, estimates):
-            each.connect(interfaces.JOINT_STATE, quality)
+        self._receive("plant/joint_states", self._on_truth)
+        estimates = self._receive("observer/joint_states", self._on_estimates)
         owner = estimates.topic.rpartition("/")[0].lstrip("/")
-        self._law = self.values.text("law") or owner
+        self._law = self.values["law"] or owner
         self.introduce(
             f"model {self._system.name}, law {self._law}",
             "a true state and an estimate of one stamp",
         )
 
-    def _state(self, message: AnyMessage, _: object) -> JointState:
-        """The state in a message, with its columns in the order of the model."""
-        return read_joint_state(message).ordered(self._system.coordinates)
+    def _receive(
+        self, topic: str, on_states: Callable[[Sequence[JointState]], None]
+    ) -> Receiver[JointState]:
+        """The receiver of states, with their columns in the order of the model."""
+        names = self._system.coordinates
+        return Receiver(
+            self,
+            Interface(topic, interfaces.JOINT_STATE, Quality(depth=_DEPTH)),
+            on_states,
+            read=lambda message, _: [read_joint_state(message).ordered(names)],
+        )
 
     def _on_truth(self, states: Sequence[JointState]) -> None:
         """Compare true states with the estimates that have arrived before."""

@@ -4,7 +4,8 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -13,7 +14,6 @@ from impact_observer.events import Remark, Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
-from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 
@@ -34,19 +34,14 @@ class ObserverDiagnostics:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
             ``invalid``, ``overflow``, ``waited``, ``large innovations`` and ``clock_jumps``.
         failure: why there is no estimate; empty while there are estimates.
-        mismatch: a publisher of impacts of another type or quality of service; empty for none.
         behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
-        inputs: the samples of live forces and grounds that the node receives; None for none.
-        input_timeout: how old the newest sample may be, s.
     """
 
     def __init__(self, status: Callable[..., DiagnosticStatus], observer: Observer) -> None:
         """Report on the ``observer`` of a node, whose ``status`` makes statuses."""
         self._status, self._observer = status, observer
         self.counts: Counter[str] = Counter()
-        self.failure = self.mismatch = self.behind = ""
-        self.inputs: LiveIntake | None = None
-        self.input_timeout = math.inf
+        self.failure = self.behind = ""
         self._reported: Counter[str] = Counter()
         self._latency = 0.0
         self._applied = False
@@ -84,9 +79,25 @@ class ObserverDiagnostics:
             self.behind = f"{found}: the observer cannot keep up{remedy}"
         return self.behind
 
-    def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
-        """The status at the time ``now`` (ns), with the ``last`` estimate if there is one."""
-        level, message = self._health(now, last)
+    def status(
+        self,
+        now: int,
+        last: Estimate | None,
+        *,
+        mismatch: str = "",
+        silent: str = "",
+        inputs: Mapping[str, object] = MappingProxyType({}),
+    ) -> DiagnosticStatus:
+        """The status of the observer.
+
+        Args:
+            now: time of the clock, ns; 0 while there is none.
+            last: the last estimate; None if there is none.
+            mismatch: a publisher of impacts of another type or quality of service; else empty.
+            silent: the live forces without a sample for too long; else empty.
+            inputs: values of the live forces.
+        """
+        level, message = self._health(now, last, mismatch, silent)
         observer = self._observer
         values = {
             "law": observer.law.name,
@@ -106,24 +117,12 @@ class ObserverDiagnostics:
             "restarts": observer.restarts,
             "largest latency [s]": f"{self._latency:.6f}",
             "large innovations": self.counts["large innovations"],
-            **self._input_values(now),
+            **inputs,
             **({} if last is None else _estimate_values(last, observer.system.unit)),
             **self._obstacle(last),
         }
         hardware = observer.system.name
         return self._status("impacts", level, message, values, hardware)
-
-    def _input_values(self, now: int) -> dict[str, object]:
-        """Ages of live forces and grounds, and counts of their samples."""
-        if self.inputs is None or not (ages := self.inputs.ages(now)):
-            return {}
-        live = self._observer.live
-        return {
-            **{f"age of {name} [s]": f"{age:.3f}" for name, age in ages.items()},
-            "samples": self.inputs.counts["samples"],
-            "invalid samples": self.inputs.counts["invalid samples"],
-            "samples too late": 0 if live is None else live.late,
-        }
 
     def _obstacle(self, last: Estimate | None) -> dict[str, object]:
         """Why the last estimate is not synchronized; empty if the estimate is."""
@@ -135,14 +134,15 @@ class ObserverDiagnostics:
             return {}
         return {interfaces.NOT_SYNCHRONIZED: why} if why else {}
 
-    def _health(self, now: int, last: Estimate | None) -> tuple[bytes, str]:
+    def _health(
+        self, now: int, last: Estimate | None, mismatch: str, silent: str
+    ) -> tuple[bytes, str]:
         """Level and message of the worst fault."""
-        if fault := self.mismatch or self.failure:
+        if fault := mismatch or self.failure:
             return DiagnosticStatus.ERROR, fault
         if self._refused and not self._applied:
             return DiagnosticStatus.ERROR, f"no event was applied, the last: {self._why}"
         new = self._new_faults()
-        silent = self.inputs.silent(now, self.input_timeout) if self.inputs else ""
         faults = (
             self.behind,
             self._clock_fault(now),

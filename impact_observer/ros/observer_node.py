@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node: impact events in, the estimated state out.
 
-An event passes through ``_on_impacts``, ``EventIntake``, ``_apply`` and ``_publish``.
+An event passes through ``Receiver``, ``_on_impacts``, ``EventIntake``, ``_apply``, ``_publish``.
 """
 
+import math
 import re
 import time
 from collections import Counter
@@ -17,30 +18,28 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.events import Ruling, Verdict
+from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.io import interfaces
-from impact_observer.io.live_inputs import efforts_on
-from impact_observer.io.messages import AnyMessage
+from impact_observer.io.messages import AnyMessage, MessageError, read_event, read_pulse
 from impact_observer.model import read_model
 from impact_observer.model.measurement import read_measurements
 from impact_observer.observer import initial_state, make_observer
 from impact_observer.observer.misfit import EXPLAINED
-from impact_observer.options import Options, Value
+from impact_observer.options import OBSERVER_OPTIONS, Options, Value
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import FOLLOWING, BaseNode, Receiver, without_numbers
-from impact_observer.ros.estimate_times import EstimateTimes
+from impact_observer.ros.base_node import BaseNode, without_numbers
 from impact_observer.ros.event_intake import MOST_WAITING, EventIntake, Judged
-from impact_observer.ros.live_intake import LiveIntake
+from impact_observer.ros.intake import Receiver
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
-from impact_observer.ros.sensor_intake import SensorIntake
+from impact_observer.ros.sample_intake import SampleIntake, silence
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
 from impact_observer.turns import turns_given_to
 
-_DISCOVERY_PERIOD = 0.1
-"""How often the graph is searched for the topics of sensors, s."""
+MOST_DUE = 20
+"""Estimates that are published together, such as after a jump of simulated time."""
 _POLL_PERIOD = 0.05
-"""How often the messages of a robot's sensors are taken, s; they are before estimates, too."""
+"""How often samples are taken, s; they are before estimates and events, too."""
 _TURN = 0.05
 """How long an event may take to be applied until predictions are published meanwhile, s.
 
@@ -74,100 +73,73 @@ class ObserverNode(BaseNode):
 
     def configure(self) -> None:
         """Implement ``BaseNode``."""
-        values, options = self.values, self.values.options()
-        self._check_lag({"lag": values.number("lag")})
-        model = self.with_urdf_of_topic(read_model(values.text("model")))
-        sensors = read_measurements(values.text("measurements"))
+        values = self.values
+        self._check_lag(values)
+        options = Options(**{each.name: values[each.name] for each in OBSERVER_OPTIONS})
+        model = self.with_urdf_of_topic(read_model(values["model"]))
+        sensors = read_measurements(values["measurements"])
         self.observer = make_observer(model, options, measurements=sensors)
         for doubt in model.doubts:
             self.lines.warning(doubt)
         self._say_torques()
-        self._sensor_topics = {self.resolve_topic_name(each.topic) for each in sensors}
         system = self.observer.system
         self._initial = initial_state(options.initial_state, system)
-        self._names = system.coordinates
         self._restarts = 0
-        self._lag = from_seconds(values.number("lag"))
-        self._times = EstimateTimes(values.number("rate"))
         self._forget_estimates()
         self._states = self.publisher(interfaces.OBSERVER_STATES)
         self._joint_states = self.publisher(interfaces.OBSERVER_JOINT_STATES)
         self._verdicts = self.publisher(interfaces.OBSERVER_VERDICTS)
         self._bounds = self.publisher(interfaces.OBSERVER_BOUND)
-        self._samples = self.publisher(interfaces.OBSERVER_MEASUREMENTS)
+        self._judged_samples = self.publisher(interfaces.OBSERVER_MEASUREMENTS)
         self._diagnostics = ObserverDiagnostics(self.status, self.observer)
         self._counts: Counter[str] = self._diagnostics.counts
-        self._inputs = self._live_intake(options)
-        self._diagnostics.inputs = self._inputs
-        self._diagnostics.input_timeout = values.number("input_timeout")
-        self._sensors = self._sensor_intake(options)
-        future = values.number("future")
-        self.intake = EventIntake(self.observer, self.stamp_now, future, self._counts)
+        self.intake = EventIntake(self.observer, self._counts)
         self._go_on = self.create_guard_condition(self._apply_events)
-        name = interfaces.IMPACTS.name
-        self._impacts = Receiver(self, name, self._on_impacts, event_callbacks=FOLLOWING)
-        self._impacts.connect(interfaces.IMPACT_EVENT, interfaces.EVENTS)
-        self.repeat(_DISCOVERY_PERIOD, self._discover)
+        self._receive()
         self._next_turn = self._rests_until = 0.0
         self._is_turn = self._went_back = self._is_due = False
         self._waits_for: tuple[str, ...] = ()
         self.serve(Trigger, "~/reset", self._on_reset)
         self.serve(SetState, "~/set_state", self._on_set_state)
-        self._timer = self.create_timer(1.0 / self._times.rate, self._on_timer)
-        self.diagnose(self._statuses)
+        self._timer = self.create_timer(1.0 / values["rate"], self._on_timer)
         self.when_clock_jumps_back(self._on_clock_back)
         known = f", epoch {options.epoch} ns" if options.epoch else ""
-        live = f" and samples of {', '.join(self._inputs.ages(0))}" if system.live else ""
-        topics = f" and publishers of {', '.join(t)}" if (t := self._sensors.topics) else ""
+        topics = f" and samples on {', '.join(t)}" if (t := self._samples.topics) else ""
         self.introduce(
-            f"model {system.name}, law {options.law}{known}",
-            f"events on impacts{live}{topics}",
+            f"model {system.name}, law {options.law}{known}", f"events on impacts{topics}"
         )
 
-    def _live_intake(self, options: Options) -> LiveIntake:
-        """The subscriptions to live forces and grounds, and to a drive that says the epoch."""
-        robot = self.observer.robot
-        needs_epoch = self.observer.system.depends_on_time and not (options.epoch or robot)
-        self._efforts = None
-        if robot is not None and robot.description.forces is not None:
-            self._efforts = efforts_on(self.resolve_topic_name(robot.description.forces[0]))
-        return LiveIntake(
+    def _receive(self) -> None:
+        """Receive impacts, samples, and where nothing else says the epoch, pulses of a drive."""
+        observer, names = self.observer, [s.name for s in self.observer.samples.sensors]
+        self._impacts = Receiver(
             self,
-            self.observer.live,
-            now=self.stamp_now,
-            future=self.values.number("future"),
-            on_problem=self.lines.error,
-            on_samples=self._correct_from,
-            on_pulse=self.observer.take_pulse if needs_epoch else None,
-            efforts=self._efforts,
-            subscribes=self._efforts is None or self._efforts.name not in self._sensor_topics,
+            interfaces.IMPACTS,
+            self._on_impacts,
+            read=self._read_event,
+            stamp=lambda event: max(event.stamp, event.epoch),
+            on_ahead=self._on_ahead,
         )
-
-    def _sensor_intake(self, options: Options) -> SensorIntake:
-        """The subscriptions to sensors, made as their topics appear."""
-        intake = SensorIntake(
-            self,
-            self.observer,
-            now=self.stamp_now,
-            past=options.history,
-            future=self.values.number("future"),
-            on_samples=self._on_samples,
-            on_problem=self.lines.error,
-            before={}
-            if self._efforts is None
-            else {self._efforts.name: self._inputs.take_efforts},
-        )
-        names = ", ".join(each.name for each in self.observer.samples.sensors)
-        if names and self.observer.robot is not None:
-            self.repeat(_POLL_PERIOD, intake.take_arrived)
-        if names and not self.observer.law.uses_measurements:
-            self.lines.warning(f"{options.law} uses no measurements: {names} change nothing")
-        return intake
+        self._samples = SampleIntake(self, observer, self._on_samples)
+        if self._samples.topics:
+            self.repeat(_POLL_PERIOD, self._samples.take_arrived)
+        if names and not observer.law.uses_measurements:
+            line = f"uses no measurements: {', '.join(names)} change nothing"
+            self.lines.warning(f"{observer.law.name} {line}")
+        self._pulses: Receiver[int] | None = None
+        if observer.system.depends_on_time and not (observer.given_epoch or observer.robot):
+            self._pulses = Receiver(
+                self,
+                interfaces.PHASE_REFERENCE,
+                self._on_pulses,
+                read=lambda message, _: [read_pulse(message)],
+                stamp=int,
+            )
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Publish from now on, if each sensor has had a sample or need not have had one."""
-        wanted = self.values.flag("wait_for_measurements")
-        if missing := self._sensors.without_sample() if wanted else ():
+        wanted = self.values["wait_for_measurements"]
+        if missing := self._samples.without_sample() if wanted else ():
             return self._wait_for(missing)
         self._waits_for = ()
         return super().on_activate(state)
@@ -175,30 +147,10 @@ class ObserverNode(BaseNode):
     def _wait_for(self, missing: tuple[str, ...]) -> TransitionCallbackReturn:
         """Stay inactive, and name the ``missing`` sensors."""
         line = f"no measurement yet of {', '.join(missing)}"
-        if self.values.flag("autostart"):
+        if self.values["autostart"]:
             self._waits_for = missing
             self.lines.warning(f"not active: {line}")
         return self.refuse(UsageError(line))
-
-    def _discover(self) -> None:
-        """Look at all publishers; try again to be active once a sensor has had a sample."""
-        if self._impacts.look():
-            self._follow_publishers()
-        self._sensors.discover()
-        if self._waits_for and self._sensors.without_sample() != self._waits_for:
-            self.trigger_activate()
-
-    def _follow_publishers(self) -> None:
-        """Ask for past events if all publishers of impacts keep these; report the others."""
-        receiver, fault = self._impacts, ""
-        if (offer := receiver.offers.get(interfaces.IMPACT_EVENT)) is not None:
-            wanted = replace(interfaces.EVENTS, transient_local=offer.transient_local)
-            receiver.connect(interfaces.IMPACT_EVENT, wanted)
-            if not offer.reliable:
-                fault = f"a publisher of {receiver.topic} is best effort; expected reliable"
-        self._diagnostics.mismatch = receiver.fault if receiver.offers and not fault else fault
-        if self._diagnostics.mismatch:
-            self.lines.error(self._diagnostics.mismatch)
 
     @property
     def _last_stamp(self) -> int:
@@ -215,42 +167,59 @@ class ObserverNode(BaseNode):
 
     def _forget_estimates(self) -> None:
         """Return to the state before the first estimate."""
-        self._times.restart()
         self._last: Estimate | None = None
+        self._due_until: int | None = None
         self._is_held = False
 
     def _check_lag(self, values: Mapping[str, Value]) -> None:
         """Raise a UsageError if the lag in ``values`` is longer than the history."""
-        lag, most = float(str(values.get("lag", 0.0))), self.values.number("history")
+        lag, most = float(str(values.get("lag", 0.0))), self.values["history"]
         if lag > most:
             raise UsageError(f"parameter lag: {lag:g} found; expected at most history, {most:g}")
 
     def _change(self, values: Mapping[str, Value]) -> None:
         """Use a rate or lag that was set while the node runs; stamps never go back."""
-        self.values.change(values)
-        if not self.is_configured:
-            return
-        self._lag = from_seconds(self.values.number("lag"))
-        if (rate := self.values.number("rate")) != self._times.rate:
-            epoch = self.observer.epoch or self.observer.start or 0
-            self._times.change_rate(rate, epoch, self._last_stamp)
+        self.values = {**self.values, **values}
+        if self.is_configured and "rate" in values:
             self.destroy_timer(self._timer)
-            self._timer = self.create_timer(1.0 / rate, self._on_timer)
+            self._timer = self.create_timer(1.0 / self.values["rate"], self._on_timer)
 
-    def _on_impacts(self, messages: Sequence[AnyMessage]) -> None:
-        """Take the messages that wait, and apply their events, after samples that have come."""
-        self._take_impacts(messages)
-        self._sensors.take_arrived()
+    def _read_event(self, message: AnyMessage, _: object) -> list[ImpactEvent]:
+        """The event in a message; one that is invalid is counted."""
+        try:
+            return [read_event(message)]
+        except MessageError as error:
+            self._counts["invalid"] += 1
+            self._diagnostics.note_refusal(str(error))
+            raise
+
+    def _on_ahead(self, event: ImpactEvent, why: str) -> None:
+        """Reject an event until the clock is near its stamp and its epoch."""
+        self._counts["future"] += 1
+        if event.epoch > event.stamp:
+            why = why.replace("stamped", "its epoch is")
+        self.intake.reject(event, why)
+        self._go_on.trigger()
+
+    def _on_impacts(self, events: Sequence[ImpactEvent]) -> None:
+        """Apply events, after samples that have come."""
+        for each in events:
+            self.intake.take(each)
+        self._samples.take_arrived()
         self._apply_events()
 
-    def _take_impacts(self, messages: Iterable[AnyMessage]) -> None:
-        for message in messages:
-            if problem := self.intake.take_message(message):
-                self._diagnostics.note_refusal(problem)
-                self.lines.error(f"impacts: {problem}")
+    def _on_pulses(self, pulses: Sequence[int]) -> None:
+        """Take the pulses of a drive; the first one is the epoch."""
+        for each in pulses:
+            self._samples.counts["samples"] += 1
+            self.observer.take_pulse(each)
 
     def _apply_events(self) -> None:
         """Apply events for some milliseconds, and go on after others had their turn."""
+        for each in self._impacts.no_longer_ahead():
+            self.intake.take(each, was_ahead=True)
+        if not self.intake.is_busy:
+            return
         self._apply(self.intake.apply_waiting())
         if self._went_back:
             self._went_back = False
@@ -281,7 +250,7 @@ class ObserverNode(BaseNode):
                 self._diagnostics.note_latency(latency)
             self._publish_verdicts(self._with_lag_reason(verdicts) if late else verdicts, latency)
         if self.observer.samples.sensors:  # samples that came while events were inserted
-            self._sensors.use_waiting()
+            self._samples.use_waiting()
 
     def _meanwhile(self) -> None:
         """Take messages and publish predictions while an event takes long to be applied."""
@@ -290,7 +259,8 @@ class ObserverNode(BaseNode):
             return
         self._is_turn = True
         self.take_clock()
-        self._take_impacts(self._impacts.waiting(MOST_WAITING))
+        for each in self._impacts.arrived(MOST_WAITING):
+            self.intake.take(each)
         with self.observer.without_new_samples():
             self._publish_due()
         self._is_turn = False
@@ -308,14 +278,12 @@ class ObserverNode(BaseNode):
         if not self._is_due and time.monotonic() >= self._rests_until:  # else the next has them
             self._correct_from(stamp)
         self._publish_verdicts(revised, latency=0.0)
-        published = {
-            each.name
-            for each in self.observer.samples.sensors
-            if self._sensors.is_published(each.index)
-        }
+        published = self._samples.published()
         for verdict in self.observer.samples.take():
             if verdict.name in published:
-                self.publish(self._samples, self.make.measurement_verdict, verdict)
+                self.publish(self._judged_samples, self.make.measurement_verdict, verdict)
+        if self._waits_for and self._samples.without_sample() != self._waits_for:
+            self.trigger_activate()
 
     def _publish_verdicts(self, verdicts: Iterable[Verdict], latency: float) -> None:
         for verdict in verdicts:
@@ -326,7 +294,7 @@ class ObserverNode(BaseNode):
     def _with_lag_reason(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
         """``verdicts`` on an event that is late in spite of a lag, with the lag as reason."""
         first, *others = verdicts
-        if not self._lag or first.ruling is not Ruling.APPLIED:
+        if not self.values["lag"] or first.ruling is not Ruling.APPLIED:
             return verdicts
         later = "later than lag: the last estimate is published again"
         return (first._replace(reason="; ".join(filter(None, (first.reason, later)))), *others)
@@ -346,15 +314,14 @@ class ObserverNode(BaseNode):
             self.lines.info(line, kind)
 
     def _on_timer(self) -> None:
-        """Use inputs that were ahead of the clock, and publish the estimates that are due."""
-        self._inputs.take_what_was_ahead()
-        self._sensors.take_what_was_ahead()
+        """Use what has arrived, and publish the estimates that are due."""
+        if self._pulses is not None:
+            self._pulses.take_arrived()
         self._is_due = True
-        self._sensors.take_arrived()
+        self._samples.take_arrived()
         self._is_due = False
         self._publish_due()
-        if not self.intake.is_empty:
-            self._apply_events()
+        self._apply_events()
 
     def _publish_due(self) -> None:
         """Publish the estimates that are at least ``lag`` old.
@@ -362,20 +329,22 @@ class ObserverNode(BaseNode):
         Estimates that are slow leave half of the time to what waits: long predictions would keep
         samples waiting, which makes the next predictions longer.
         """
-        start, now = self.observer.start, self.stamp_now() - self._lag
-        begin = time.monotonic()
+        rate, start = self.values["rate"], self.observer.start
+        now, begin = self.stamp_now() - from_seconds(self.values["lag"]), time.monotonic()
         if start is None or now < start or begin < self._rests_until:
             return
-        due = self._times.due(self.observer.epoch or start, start, now)
-        self._counts["passed_over"] += due.skipped
+        epoch = self.observer.epoch or start
+        stamps, skipped = due_stamps(rate, epoch, start, self._due_until, now)
+        self._due_until = stamps[-1] if stamps else self._due_until
+        self._counts["passed_over"] += skipped
         end = time.thread_time() + _TURN
-        for i, stamp in enumerate(due.stamps, start=1):
-            if time.thread_time() < end or i in {1, len(due.stamps)}:
+        for i, stamp in enumerate(stamps, start=1):
+            if time.thread_time() < end or i in {1, len(stamps)}:
                 self._publish(stamp)
             else:
                 self._counts["passed_over"] += 1
         spent = time.monotonic() - begin
-        if spent > max(1.0 / self._times.rate, _BRIEF):
+        if spent > max(1.0 / rate, _BRIEF):
             self._rests_until = begin + spent + min(spent, _LONGEST_REST)
 
     def _publish(self, stamp: int) -> None:
@@ -389,8 +358,8 @@ class ObserverNode(BaseNode):
         self._diagnostics.failure = ""
         if self.intake.is_behind:
             estimate = replace(estimate, synchronized=False)
-        self._last = estimate
-        state = self.publish(self._states, self.make.estimate, estimate, self._names)
+        self._last, names = estimate, self.observer.system.coordinates
+        state = self.publish(self._states, self.make.estimate, estimate, names)
         if state is not None:
             self.publish(self._joint_states, self.make.joint_state_of, state)
         if estimate.bound != (-1.0 if last is None else last.bound):
@@ -416,8 +385,8 @@ class ObserverNode(BaseNode):
             self._went_back = True
             return
         self.intake.clear()
-        self._inputs.clear()
-        self._sensors.clear()
+        for each in self.receivers:
+            each.clear()
         if self.observer.live is not None:
             self.observer.live.clear()
         self.observer.restart("the clock jumped back")
@@ -460,13 +429,58 @@ class ObserverNode(BaseNode):
         start = self.observer.start
         return True, "holds at the start" if start is None else f"holds at {start} ns"
 
-    def _statuses(self) -> list[DiagnosticStatus]:
+    def statuses(self) -> list[DiagnosticStatus]:
         """Counts and faults of the observer, and of each sensor."""
         if behind := self._diagnostics.note_backlog(*self.intake.backlog()):
             self.lines.warning(behind)
-        now = self.stamp_now()
+        now, timeout = self.stamp_now(), self.values["input_timeout"]
         try:
             self.observer.forget_silence(now)
         except ImpactObserverError as error:
             self.lines.error(f"samples of inputs: {error}")
-        return [self._diagnostics.status(now, self._last), *self._sensors.statuses(now)]
+        silent = silence(self.observer.live, now, timeout)
+        status = self._diagnostics.status(
+            now,
+            self._last,
+            mismatch=self._impacts.fault if self._impacts.offers else "",
+            silent=f"{silent}; input_timeout is {timeout:g} s" if silent else "",
+            inputs=self._samples.values(now),
+        )
+        return [status, *self._samples.statuses(now)]
+
+
+def due_stamps(
+    rate: float, epoch: int, start: int, last: int | None, now: int
+) -> tuple[list[int], int]:
+    """The stamps ``epoch + k / rate`` at which estimates have become due.
+
+    The first estimate is never skipped, as ratios of distances refer to it.
+
+    Args:
+        rate: of the estimates, Hz.
+        epoch: stamp of k = 0, ns.
+        start: stamp before which there is no estimate, ns.
+        last: the last stamp that was due before, ns; None before the first one.
+        now: stamp up to which estimates are due, ns.
+
+    Returns:
+        The stamps, ascending, ns, at most ``MOST_DUE`` and the first one; and the number of
+        older ones that are skipped.
+    """
+
+    def stamp_of(k: int) -> int:
+        return epoch + round(k * NS_PER_S / rate)
+
+    def number(stamp: int) -> int:
+        """The largest k whose stamp is at most ``stamp``."""
+        k = math.floor(seconds_between(epoch, stamp) * rate) + 1  # may be rounded by one
+        while stamp_of(k) > stamp:
+            k -= 1
+        return k
+
+    first, newest = number(start - 1) + 1, number(now)
+    done = first - 1 if last is None else max(number(last), first - 1)
+    numbers = [*range(max(done + 1, newest - MOST_DUE + 1), newest + 1)]
+    if last is None and numbers and numbers[0] > first:
+        numbers.insert(0, first)
+    return [stamp_of(k) for k in numbers], max(newest - done, 0) - len(numbers)

@@ -13,7 +13,6 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.options import (
     OBSERVER_OPTIONS,
     Option,
-    Options,
     Value,
 )
 from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
@@ -136,49 +135,11 @@ TABLES: Mapping[str, tuple[Option, ...]] = {
 }
 
 
-class Values:
-    """The values of a node's parameters, by name and type."""
-
-    def __init__(self, values: Mapping[str, Value]) -> None:
-        self._values = values
-
-    def value(self, name: str) -> Value:
-        """The value of a parameter, of any type."""
-        return self._values[name]
-
-    def text(self, name: str) -> str:
-        """A string parameter."""
-        return str(self._values[name])
-
-    def number(self, name: str) -> float:
-        """A double parameter."""
-        return float(self._number(name))
-
-    def integer(self, name: str) -> int:
-        """An int parameter."""
-        return int(self._number(name))
-
-    def options(self) -> Options:
-        """The options of the observer among the parameters."""
-        named: dict[str, Any] = {each.name: self._values[each.name] for each in OBSERVER_OPTIONS}
-        return Options(**named)
-
-    def change(self, values: Mapping[str, Value]) -> None:
-        """Take note of values that were set while the node runs."""
-        self._values = {**self._values, **values}
-
-    def flag(self, name: str) -> bool:
-        """A bool parameter."""
-        return bool(self._values[name])
-
-    def _number(self, name: str) -> float:
-        value = self._values[name]
-        assert isinstance(value, (int, float)), "its default is a number"
-        return value
-
-
-def declare(node: "Node", table: tuple[Option, ...]) -> Values:
+def declare(node: "Node", table: tuple[Option, ...]) -> dict[str, Any]:
     """Declare the parameters of ``table`` on ``node``, and read their values.
+
+    Returns:
+        The values by name, each of the type of its default.
 
     Raises:
         UsageError: a parameter is of the wrong type, out of range, or missing.
@@ -186,7 +147,7 @@ def declare(node: "Node", table: tuple[Option, ...]) -> Values:
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
     from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 
-    values: dict[str, Value] = {}
+    values: dict[str, Any] = {}
     for each in table:
         descriptor = ParameterDescriptor(
             description=each.summary,
@@ -212,7 +173,7 @@ def declare(node: "Node", table: tuple[Option, ...]) -> Values:
             value = float(value)
         each.check(value)
         values[each.name] = value
-    return Values(values)
+    return values
 
 
 def _declared(node: "Node", each: Option, descriptor: "ParameterDescriptor") -> Value:

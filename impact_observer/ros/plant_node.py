@@ -2,7 +2,7 @@
 """The plant node: simulates the impacting system and publishes its impact times."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from impact_observer.errors import DynamicsError, InputTimeoutError, UsageError
 from impact_observer.events import Contacts
 from impact_observer.io import interfaces
-from impact_observer.io.messages import JointState
+from impact_observer.io.messages import JointState, LiveSample, read_efforts
 from impact_observer.io.recordings import published_model
 from impact_observer.io.simulated_samples import Sampling
 from impact_observer.model import System, read_model
@@ -23,8 +23,9 @@ from impact_observer.model.multibody import multibody_of
 from impact_observer.plant import Plant, SensorModel, SensorSimulation
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode
-from impact_observer.ros.live_intake import LiveIntake
+from impact_observer.ros.intake import Receiver
 from impact_observer.ros.plant_sensors import PlantSensors
+from impact_observer.ros.sample_intake import silence
 from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 from impact_observer.states import Vector
@@ -65,32 +66,34 @@ class PlantNode(BaseNode):
         """Implement ``BaseNode``."""
         values = self.values
         self._paused, self._started = time.monotonic_ns(), 0
-        self._model = self.with_urdf_of_topic(read_model(values.text("model")))
+        self._model = self.with_urdf_of_topic(read_model(values["model"]))
         self._system = multibody_of(self._model)
-        self._rate = values.number("rate")
-        self._duration = from_seconds(values.number("duration"))
-        self._factor = values.number("realtime_factor")
-        self._owns_clock = values.flag("publish_clock")
-        self._clock_period = from_seconds(1.0 / values.number("clock_rate"))
-        self._wanted_subscribers = values.integer("wait_for_subscribers")
-        self._wanted_epoch = values.integer("epoch")
-        self._seed = values.integer("seed")
-        self._timeout = values.number("input_timeout")
-        faults: dict[str, Any] = {t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS}
+        self._rate: float = values["rate"]
+        self._duration = from_seconds(values["duration"])
+        self._factor = values["realtime_factor"]
+        self._owns_clock = values["publish_clock"]
+        self._clock_period = from_seconds(1.0 / values["clock_rate"])
+        self._wanted_subscribers = values["wait_for_subscribers"]
+        self._wanted_epoch: int = values["epoch"]
+        self._seed = values["seed"]
+        self._timeout = values["input_timeout"]
+        faults: dict[str, Any] = {t.name: values[f"sensor.{t.name}"] for t in SENSOR_FAULTS}
         self._sensor = SensorModel(**faults)
         self._sensor.check(self._system, self._model.sensors)
         self._check_time_source()
         self._live: LiveSignals | None = None
         if isinstance(self._system, System):
             self._system, self._live = connected(self._system, causal=True)
-        self._inputs = LiveIntake(
-            self,
-            self._live,
-            now=self._clock_now,
-            future=values.number("future"),
-            on_problem=self.lines.warning,
-            on_samples=lambda _: self._tick(),
-        )
+        self._forces: Receiver[LiveSample] | None = None
+        if self._live is not None:
+            self._forces = Receiver(
+                self,
+                interfaces.FORCING,
+                self._on_forces,
+                read=lambda message, _: read_efforts(message),
+                stamp=lambda sample: sample.stamp,
+                now=self._clock_now,
+            )
         # A motion that no message can change, and that cannot be computed, is the end.
         self.ends_by = (DynamicsError,) if self._live is None else (InputTimeoutError,)
         self._impacts = self.publisher(interfaces.IMPACTS)
@@ -99,8 +102,8 @@ class PlantNode(BaseNode):
         self._clock_topic = (
             self.publisher(interfaces.SIMULATED_CLOCK) if self._owns_clock else None
         )
-        declared = read_measurements(values.text("measurements"))
-        of_samples = {each.name: values.number(each.name) for each in SAMPLING}
+        declared = read_measurements(values["measurements"])
+        of_samples = {each.name: values[each.name] for each in SAMPLING}
         sampling = Sampling.from_values(of_samples)
         self._sensors = PlantSensors(self, declared, self._system, sampling, self._seed)
         self._closed: Contacts = ()
@@ -149,10 +152,19 @@ class PlantNode(BaseNode):
         return super().on_deactivate(state)
 
     def _on_timer(self) -> None:
-        """Use inputs that were ahead of the clock, and publish."""
-        self._inputs.take_what_was_ahead()
+        """Use forces that were ahead of the clock, and publish."""
+        if self._forces is not None:
+            self._forces.take_arrived()
         if not self.done:
             self._tick()
+
+    def _on_forces(self, samples: Sequence[LiveSample]) -> None:
+        """Go on by samples of live forces."""
+        assert self._live is not None, "only then they are received"
+        for each in samples:
+            if problem := self._live.add_force(*each):
+                self.lines.warning(f"{interfaces.FORCING.name}: {problem}")
+        self._tick()
 
     def _tick(self) -> None:
         """Publish all messages that are due, in the order of stamps, and set the timer."""
@@ -205,10 +217,8 @@ class PlantNode(BaseNode):
         """Raise InputTimeoutError if live forces or grounds are missing for too long."""
         self._waits_since = self._waits_since or time.monotonic()
         if time.monotonic() - self._waits_since > self._timeout:
-            silent = self._inputs.silent(now, 0.0)
-            raise InputTimeoutError(
-                f"the plant waits: {silent.partition(';')[0]}; input_timeout is over"
-            )
+            silent = silence(self._live, now, 0.0)
+            raise InputTimeoutError(f"the plant waits: {silent}; input_timeout is over")
 
     def _start(self, epoch: int) -> None:
         """Start an episode at ``epoch``."""

@@ -13,7 +13,7 @@ from rclpy.publisher import Publisher
 
 from impact_observer.errors import UsageError
 from impact_observer.io.interfaces import EVENTS, SIMULATED_CLOCK, Quality, usual_quality
-from impact_observer.io.reader import BagReader, RawMessage
+from impact_observer.io.reader import BagReader
 from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
 from impact_observer.ros.session import ros_node
@@ -166,7 +166,8 @@ class Player:
             if not self._wait_until(message.log_time, begin, keep_on):
                 return False
             self._publish_clock(message.log_time)
-            self._send(message)
+            self._publishers[message.topic].publish(message.data)
+            self.count += 1
         return self._wait_until(self._end, begin, keep_on)
 
     def _wait_until(self, log_time: int, begin: int, keep_on: KeepOn) -> bool:
@@ -185,11 +186,6 @@ class Player:
         """Publish the bag's time, ns."""
         self.elapsed = seconds_between(self._start, bag_time)
         self._clock.publish(ros_messages().clock(bag_time))
-
-    def _send(self, message: RawMessage) -> None:
-        """Publish a message."""
-        self._publishers[message.topic].publish(message.data)
-        self.count += 1
 
     def finish(self, keep_on: KeepOn = lambda: True) -> None:
         """Wait a short time until the messages have arrived, while ``keep_on`` returns True."""

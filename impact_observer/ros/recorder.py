@@ -4,6 +4,8 @@
 import time
 from collections.abc import Callable, Collection
 from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -18,7 +20,12 @@ from impact_observer.io.writer import BagWriter
 from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
 from impact_observer.ros.session import ros_node, spin_once
-from impact_observer.ros.topics import common_offer, message_class, subscribe_raw
+from impact_observer.ros.topics import (
+    common_offer,
+    message_class,
+    qos_profile,
+    waiting_messages,
+)
 
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for new topics, s."""
@@ -126,9 +133,12 @@ class Recorder:
             self._warn(f"{topic} is not recorded: {error}")
             return
         self.counts[topic], self._requested[topic] = 0, offer
-        quality = replace(offer, depth=_DEPTH)
-        self._subscriptions[topic] = subscribe_raw(
-            self._node, topic, message_type, quality, self._write
+        self._subscriptions[topic] = self._node.create_subscription(
+            message_type,
+            topic,
+            partial(self._write, topic),
+            qos_profile(replace(offer, depth=_DEPTH)),
+            raw=True,
         )
         self._on_topic(topic, type_name)
 
@@ -144,10 +154,12 @@ class Recorder:
             )
 
     def _write(self, topic: str, data: bytes) -> None:
-        """Write a message."""
-        self._last = max(self._last, self._node.get_clock().now().nanoseconds)
-        self._writer.write_raw(topic, self._last, data)
-        self.counts[topic] += 1
+        """Write a message, and those that wait behind it."""
+        waiting = waiting_messages(self._subscriptions[topic], _DEPTH)
+        for each in chain([data], (more for more, _ in waiting)):
+            self._last = max(self._last, self._node.get_clock().now().nanoseconds)
+            self._writer.write_raw(topic, self._last, each)
+            self.counts[topic] += 1
 
 
 def record(

@@ -2,12 +2,11 @@
 """Message classes, qualities of service, and messages that wait, by ``rclpy``."""
 
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from typing import Any, TypeAlias
 
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -94,31 +93,3 @@ def waiting_messages(subscription: Subscription, most: int) -> Iterator[tuple[An
             if (taken := handle.take_message(subscription.msg_type, subscription.raw)) is None:
                 return
             yield taken
-
-
-def subscribe_raw(
-    node: Node,
-    topic: str,
-    message_type: AnyMessage,
-    quality: Quality,
-    on_message: Callable[[str, bytes], None],
-) -> Subscription:
-    """Hand each message of a topic to ``on_message`` as serialized bytes.
-
-    Args:
-        node: the caller spins the node.
-        topic: absolute name of the topic.
-        message_type: class of the messages.
-        quality: quality of service that is requested; ``depth`` messages may wait.
-        on_message: called with the topic and the bytes.
-    """
-
-    def take(data: bytes) -> None:
-        on_message(topic, data)
-        for waiting, _ in waiting_messages(subscription, quality.depth):
-            on_message(topic, waiting)
-
-    subscription = node.create_subscription(
-        message_type, topic, take, qos_profile(quality), raw=True
-    )
-    return subscription

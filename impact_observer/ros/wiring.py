@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of the demonstration: one list for the demo command and the launch file.
+"""What launch files share, and the nodes of the demonstration, which the demo command starts too.
 
 The module imports no ROS, so that launch files and tests can import the module.
 """
@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from impact_observer.options import Value
+from impact_observer.options import Option, Value
 
 FOLLOW = "IMPACT_OBSERVER_FOLLOW"
 """Environment variable with the id of the parent, with whose end a process ends."""
@@ -40,6 +40,36 @@ def local_discovery() -> tuple[Any, Any]:
         DeclareLaunchArgument("local", default_value="false", description=meaning),
         SetEnvironmentVariable(DISCOVERY, LOCAL, condition=wanted),
     )
+
+
+def parameter_arguments(table: Sequence[Option], sample: str) -> list[Any]:
+    """The launch arguments ``params_file``, such as a ``sample``, and one a parameter.
+
+    An argument beats the file; one that is left out stays as the file, else the node, has it.
+    """
+    from launch.actions import DeclareLaunchArgument
+
+    file = f"a file such as config/nodes/{sample}.yaml"
+    return [
+        *(
+            DeclareLaunchArgument(each.name, default_value="", description=each.description)
+            for each in table
+        ),
+        DeclareLaunchArgument("params_file", default_value="", description=file),
+    ]
+
+
+def given_parameters(given: Mapping[str, str], table: Sequence[Option]) -> list[Any]:
+    """The parameters of a node of a launch file by the values of ``parameter_arguments``."""
+    from launch.substitutions import LaunchConfiguration
+    from launch_ros.parameter_descriptions import ParameterValue
+
+    values = {
+        each.name: ParameterValue(LaunchConfiguration(each.name), value_type=each.value_type)
+        for each in table
+        if given[each.name]
+    }
+    return [*filter(None, (given["params_file"], values))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 
-from impact_observer.ros.base_node import ClockGate, LogLines
+from impact_observer.ros.base_node import LogLines
+from impact_observer.ros.intake import ClockGate
 from impact_observer.stamps import NS_PER_S
 
 

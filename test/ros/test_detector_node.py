@@ -369,6 +369,7 @@ def test_a_topic_that_is_not_what_was_declared_is_an_error_until_its_type_change
         wanted = f"{sources}: sources[0].kind: is missing"
         spinner.until(lambda: rig.diagnosis("stop").message.startswith(wanted))
         assert rig.diagnosis("stop").level == DiagnosticStatus.ERROR
+        assert rig.diagnosis("/detector").message.startswith(wanted)
         node.destroy_publisher(first)
         for kind, message in ((Bool, Bool(data=True)), (Empty, Empty())):
             count = len(rig.events)

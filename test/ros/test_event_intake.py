@@ -14,18 +14,12 @@ pytest.importorskip("impact_observer_msgs")
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
-from impact_observer.io.messages import AnyMessage
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros import event_intake
-from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
+from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake, Judged
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
-from impact_observer.ros.topics import ros_messages
 from impact_observer.stamps import NS_PER_S
-
-LATER = 10_000 * NS_PER_S
-"""Later than all stamps, ns."""
-Item = tuple[ImpactEvent, tuple[Verdict, ...]]
 
 
 @dataclass
@@ -36,20 +30,17 @@ class SlowObserver:
         seconds: for each event, s.
         batches: how many events were given together.
         now: the monotonic clock, ns.
-        applied: the events that are applied.
     """
 
     seconds: float
     batches: list[int] = field(default_factory=list)
     now: int = NS_PER_S
-    applied: list[ImpactEvent] = field(default_factory=list)
 
-    def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Item | None]:
+    def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Judged | None]:
         """Apply events as ``Observer.receiving`` does."""
         self.batches.append(len(events))
         for each in events:
             self.now += round(self.seconds * NS_PER_S)
-            self.applied.append(each)
             yield each, (Verdict(each.stamp, Ruling.APPLIED, each.sequence),)
 
     def monotonic_ns(self) -> int:
@@ -60,18 +51,17 @@ class SlowObserver:
 def intake_of(observer: SlowObserver, monkeypatch: pytest.MonkeyPatch) -> EventIntake:
     """The intake of a slow observer, by the clock of the observer."""
     monkeypatch.setattr(event_intake, "time", observer)
-    return EventIntake(observer, lambda: LATER, 1.0, Counter())  # type: ignore[arg-type]
+    return EventIntake(observer, Counter())  # type: ignore[arg-type]
 
 
-def message(number: int, apart: int = NS_PER_S) -> AnyMessage:
-    """An event with a number; the stamps of successive numbers are ``apart``, ns."""
-    event = ImpactEvent(NS_PER_S + number * apart, (Switch("stop"),), number, 0, NS_PER_S)
-    return ros_messages().event(event)
+def event(number: int) -> ImpactEvent:
+    """An event with a number, one a second."""
+    return ImpactEvent(NS_PER_S + number * NS_PER_S, (Switch("stop"),), number, 0, NS_PER_S)
 
 
-def taken(intake: EventIntake) -> list[Item]:
+def taken(intake: EventIntake) -> list[Judged]:
     """Take all waiting events, and return them with their verdicts."""
-    found: list[Item] = []
+    found: list[Judged] = []
     while intake.is_busy:
         found.extend(intake.apply_waiting())
     return found
@@ -82,15 +72,15 @@ def test_a_slow_observer_refuses_what_has_waited_too_long(monkeypatch: pytest.Mo
     slow = SlowObserver(seconds=0.5)
     intake = intake_of(slow, monkeypatch)
     for number in range(1, 501):
-        assert not intake.take_message(message(number))
+        intake.take(event(number))
     rulings = Counter(verdicts[0].ruling for _, verdicts in taken(intake))
     applied = rulings[Ruling.APPLIED]
     assert rulings == {Ruling.APPLIED: applied, Ruling.REJECTED: 500 - applied}
     assert intake.counts["waited"] == 500 - applied
     assert PATIENCE / NS_PER_S <= applied * slow.seconds <= 2 * PATIENCE / NS_PER_S
-    intake.take_message(message(501))
-    ((event, (verdict,)),) = taken(intake)
-    assert event.sequence == 501
+    intake.take(event(501))
+    ((last, (verdict,)),) = taken(intake)
+    assert last.sequence == 501
     assert verdict.ruling is Ruling.APPLIED
 
 
@@ -101,7 +91,7 @@ def test_events_that_wait_together_are_given_to_the_observer_together(
     quick = SlowObserver(seconds=1e-5)
     intake = intake_of(quick, monkeypatch)
     for number in range(1, MOST_WAITING + 1):
-        intake.take_message(message(number))
+        intake.take(event(number))
     assert all(verdict.ruling is Ruling.APPLIED for _, (verdict,) in taken(intake))
     assert quick.batches == [MOST_WAITING]
 
@@ -113,16 +103,16 @@ def test_of_too_many_events_those_that_are_left_are_in_order_and_evenly_spread(
     slow = SlowObserver(seconds=1e-3)
     intake = intake_of(slow, monkeypatch)
     for number in range(1, 10_001):
-        assert not intake.take_message(message(number))
+        intake.take(event(number))
     assert intake.backlog()[0] <= MOST_WAITING
-    numbers = [event.sequence for event, _ in taken(intake)]
+    numbers = [each.sequence for each, _ in taken(intake)]
     assert len(numbers) + intake.counts["overflow"] == 10_000
     assert len(numbers) >= MOST_WAITING // 2
     assert numbers == sorted(numbers)
     apart = {b - a for a, b in pairwise(numbers)}
     assert max(apart) <= 2 * min(apart)
     for number in range(10_001, 10_101):
-        intake.take_message(message(number))
+        intake.take(event(number))
     assert len(taken(intake)) == 100
 
 
@@ -132,7 +122,7 @@ def test_a_past_that_comes_at_once_is_applied_whole(monkeypatch: pytest.MonkeyPa
     intake = intake_of(slow, monkeypatch)
     for _ in range(2):
         for number in range(1, 51):
-            intake.take_message(message(number))
+            intake.take(event(number))
     assert len(taken(intake)) == 100
     assert not intake.counts["overflow"]
 
@@ -143,7 +133,7 @@ def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch)
     intake = intake_of(slow, monkeypatch)
     assert intake.backlog() == (0, 0.0)
     for number in range(1, 21):
-        intake.take_message(message(number))
+        intake.take(event(number))
     next(intake.apply_waiting())
     assert intake.backlog() == (19, 0.5)
     taken(intake)

@@ -92,7 +92,7 @@ def test_a_whole_number_is_a_double_and_a_list_is_not(ros_environment: dict[str,
         one, two = Node("one"), Node("two")
         spinner.add(one)
         spinner.add(two)
-        value = parameters.declare(one, table).value("rate")
+        value = parameters.declare(one, table)["rate"]
         assert (value, type(value)) == (100.0, float)
         with pytest.raises(UsageError, match="parameter rate: "):
             parameters.declare(two, table)

@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of sensors and of live forces, on their way from the topics to an observer."""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import groupby
+from typing import TypeAlias
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.events import Verdict
+from impact_observer.io.interfaces import FORCING, JOINT_STATE, Interface, Quality
+from impact_observer.io.live_inputs import efforts_on
+from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, SensorReader
+from impact_observer.io.messages import AnyMessage, LiveSample, MessageError, read_efforts
+from impact_observer.model.live_signals import LiveSignals
+from impact_observer.observer import Observer
+from impact_observer.observer.samples import MOST_KEPT, SensorSample
+from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.intake import Receiver
+from impact_observer.stamps import MAX_STAMP, NS_PER_S
+
+_QUALITY = Quality(reliable=False, depth=2000)
+"""Of a sensor's topic: the samples of 2 s at 1 kHz may wait."""
+_LONGEST = 0.05
+"""Time that the samples of one call may take, s; of more samples some are shed."""
+_SHARE = 1 / 3
+"""The same over the time since the call before: so that a backlog becomes shorter, though
+estimates take as long again.
+"""
+_FEW = 20
+"""Instants of a call whose samples are used without a look at their cost."""
+_COUNTED = 20
+"""Samples from which on the rate of a sensor is known."""
+_Sample: TypeAlias = LiveSample | SensorSample
+
+
+def ages(live: LiveSignals | None, now: int) -> dict[str, float]:
+    """Age of the newest sample of each live force at ``now`` (ns), s; infinite without any."""
+    newest = {} if live is None else dict(zip(live.inputs, live.newest, strict=True))
+    return {name: (now - at) / NS_PER_S if at else math.inf for name, at in newest.items()}
+
+
+def silence(live: LiveSignals | None, now: int, timeout: float) -> str:
+    """The live forces without a sample for longer than ``timeout`` (s), in words; else empty."""
+    return ", ".join(
+        f"no sample of {name} for {age:.3g} s" if age < math.inf else f"none of {name} yet"
+        for name, age in ages(live, now).items()
+        if age > timeout
+    )
+
+
+class SampleIntake:
+    """Gives the samples of sensors and live forces that a node receives to its observer.
+
+    Messages are polled, as thousands may come in a second. Where those of a robot come faster than
+    they can be used, some are shed, so that the newest are used in time.
+
+    Attributes:
+        topics: absolute names of the topics.
+        counts: ``samples``: samples of forces; ``invalid samples``: those that cannot be used.
+        problems: the last problem of each sensor; empty for none.
+    """
+
+    def __init__(
+        self,
+        node: BaseNode,
+        observer: Observer,
+        on_samples: Callable[[int, Sequence[Verdict]], object],
+    ) -> None:
+        """Receive the samples of the sensors and live forces of ``observer``.
+
+        Args:
+            node: owner of the subscriptions.
+            observer: takes the samples.
+            on_samples: called after new samples with the least of their stamps, ns, and with the
+                verdicts on events that have changed.
+        """
+        self._node, self._observer, self._on_samples = node, observer, on_samples
+        self._past = node.values["history"]
+        self._sensors = observer.samples.sensors
+        self.counts = Counter[str]()
+        self.problems = [""] * len(self._sensors)
+        self._readers: dict[str, list[SensorReader]] = {}
+        self._first: dict[int, tuple[int, int]] = {}
+        self._told = [Counter[str]() for _ in self._sensors]
+        self._ended = time.monotonic()
+        robot = observer.robot
+        self._forces: Interface | None = None
+        if observer.live is not None and observer.live.inputs:
+            declared = None if robot is None else robot.description.forces
+            self._forces = efforts_on(declared[0]) if declared else FORCING
+        names = [node.resolve_topic_name(each.measurement.topic) for each in self._sensors]
+        self._receivers = {
+            each: self._receive(Interface(each, "", _QUALITY)) for each in dict.fromkeys(names)
+        }
+        self._efforts = ""
+        if self._forces is not None:
+            self._efforts = node.resolve_topic_name(self._forces.name)
+            if self._efforts not in self._receivers:
+                self._receivers[self._efforts] = self._receive(self._forces)
+        self.topics = tuple(self._receivers)
+
+    def _receive(self, interface: Interface) -> Receiver[_Sample]:
+        """The receiver of a topic; one of sensors takes any type that a sensor can read."""
+        topic = self._node.resolve_topic_name(interface.name)
+        return Receiver(
+            self._node,
+            interface,
+            self._use,
+            read=lambda message, _: self._read(topic, message),
+            stamp=lambda sample: sample.stamp,
+            on_ahead=partial(self._note_ahead, topic),
+            choose=None if interface.type else partial(self._choose, topic),
+            is_polled=True,
+        )
+
+    def _choose(self, topic: str, type_name: str, _: Quality) -> Quality:
+        """The quality to ask for, if a sensor can read messages of a type.
+
+        Raises:
+            UsageError: none can.
+        """
+        readers, why = list[SensorReader](), ""
+        for sensor in self._sensors:
+            if self._node.resolve_topic_name(sensor.measurement.topic) == topic:
+                try:
+                    readers.append(SensorReader(sensor.measurement, sensor.index, type_name))
+                except UsageError as error:
+                    why = str(error)
+                    self._refuse(sensor.index, why)
+        if not readers:
+            raise UsageError(why)
+        self._readers[topic] = readers
+        return _QUALITY
+
+    def take_arrived(self) -> None:
+        """Use the samples that have arrived, and those to which the clock has come near."""
+        for each in self._receivers.values():
+            each.take_arrived()
+
+    def use_waiting(self) -> None:
+        """Use the samples that came while the observer inserted events."""
+        since = min((s.stamp for s in self._observer.samples.waiting), default=MAX_STAMP)
+        self._on_samples(since, self._measured(()))
+
+    def _use(self, samples: Sequence[_Sample]) -> None:
+        """Give samples to the observer; of too many of a robot, some."""
+        since, revised = MAX_STAMP, list[Verdict]()
+        for each in samples:
+            if isinstance(each, LiveSample):
+                since = min(since, each.stamp)
+                self._add_force(each)
+        measured = [each for each in samples if isinstance(each, SensorSample)]
+        for some in self._in_time(measured):
+            for each in some:
+                self.problems[each.sensor] = ""
+                self._first.setdefault(each.sensor, (each.stamp, self._count(each.sensor)))
+            since = min(since, *(each.stamp for each in some))
+            revised += self._measured(some)
+        if since < MAX_STAMP:
+            self._on_samples(since, revised)
+
+    def _add_force(self, sample: LiveSample) -> None:
+        self.counts["samples"] += 1
+        assert self._observer.live is not None, "only then forces are received"
+        if problem := self._observer.live.add_force(*sample):
+            self._refuse_force(problem)
+
+    def _refuse_force(self, problem: str) -> None:
+        self.counts["invalid samples"] += 1
+        self._node.lines.error(f"{self._efforts}: {problem}")
+
+    def _in_time(self, samples: Sequence[SensorSample]) -> Iterator[Sequence[SensorSample]]:
+        """Yields ``samples``; of a robot by instants, and of many those there is time for.
+
+        What counts is the time that passes, as others may use the processor, too.
+        """
+        if self._observer.robot is None or not samples:
+            yield from [samples] if samples else []
+            return
+        instants = [[*some] for _, some in groupby(samples, lambda each: each.stamp)]
+        begin, used, i, last = time.monotonic(), 0, 0, len(instants) - 1
+        allowed = max(_SHARE * (begin - self._ended), _LONGEST)
+        while True:
+            yield instants[i]
+            used += 1
+            self._ended = time.monotonic()
+            if i == last:
+                return
+            spent = max(self._ended - begin, 1e-9)
+            most = max((allowed - spent) * used / spent, 1.0) if last >= _FEW else math.inf
+            following = i + (math.ceil((last - i) / most) or 1)
+            for shed in instants[i + 1 : following]:
+                for each in shed:
+                    self._observer.samples.counts[each.sensor]["shed"] += 1
+            i = following
+
+    def _measured(self, samples: Sequence[SensorSample]) -> Sequence[Verdict]:
+        """Give samples to the observer; verdicts on events that have changed."""
+        try:
+            return self._observer.measure(samples)
+        except ImpactObserverError as error:
+            self._node.lines.error(f"samples of sensors: {error}")
+            return ()
+
+    def _read(self, topic: str, message: AnyMessage) -> list[_Sample]:
+        """The samples in a message."""
+        now, samples = self._node.stamp_now(), list[_Sample]()
+        receiver, live = self._receivers[topic], self._observer.live
+        if topic == self._efforts and receiver.type_name == JOINT_STATE and live is not None:
+            try:
+                known = None if self._forces is FORCING else live.inputs
+                samples += [s for s in read_efforts(message) if known is None or s.name in known]
+            except MessageError as error:
+                self._refuse_force(str(error))
+        for reader in self._readers.get(topic, ()):
+            try:
+                sample = reader.sample(message, now)
+            except UsageError as error:
+                self._refuse(reader.index, str(error))
+                continue
+            if sample is None:
+                declared = reader.measurement
+                missing = f"no {declared.quantity} of {declared.joint!r} on {topic}"
+                self.problems[reader.index] = missing
+            elif (behind := (now - sample.stamp) / NS_PER_S) > self._past:
+                what = f"stamped {behind:.3f} s before the clock"
+                self._refuse(reader.index, f"{what}; history allows {self._past:g} s")
+            else:
+                samples.append(sample)
+        return samples
+
+    def _note_ahead(self, topic: str, sample: _Sample, why: str) -> None:
+        """Report a sample that is ahead of the clock."""
+        if isinstance(sample, SensorSample):
+            self._report(sample.sensor, why)
+        else:
+            self._node.lines.error(f"{topic}: {why}")
+
+    def _refuse(self, index: int, problem: str) -> None:
+        """Count and report a sample of a sensor that cannot be used."""
+        self._observer.samples.counts[index]["invalid"] += 1
+        self._report(index, problem)
+
+    def _report(self, index: int, problem: str) -> None:
+        self.problems[index] = problem
+        self._node.lines.error(f"{self._sensors[index].name}: {problem}")
+
+    def _count(self, index: int) -> int:
+        """The samples of a sensor so far."""
+        return self._observer.samples.counts[index]["samples"]
+
+    def rate(self, index: int) -> float:
+        """The mean rate of a sensor so far, Hz; 0 while the rate is not known."""
+        if index not in self._first:
+            return 0.0
+        stamp, before = self._first[index]
+        count, span = self._count(index) - before - 1, self._observer.samples.newest[index] - stamp
+        return count * NS_PER_S / span if count >= _COUNTED and span > 0 else 0.0
+
+    def published(self) -> set[str]:
+        """Names of the sensors whose verdicts are to be published: slow ones of known rate."""
+        return {each.name for each in self._sensors if 0 < self.rate(each.index) <= SILENT_RATE}
+
+    def without_sample(self) -> tuple[str, ...]:
+        """Names of the sensors without a sample that could be used."""
+        return tuple(each.name for each in self._sensors if each.index not in self._first)
+
+    def values(self, now: int) -> dict[str, object]:
+        """Ages of the live forces at ``now`` (ns), and counts of their samples."""
+        live = self._observer.live
+        if live is None:
+            return {}
+        return {
+            **{f"age of {name} [s]": f"{age:.3f}" for name, age in ages(live, now).items()},
+            "samples": self.counts["samples"],
+            "invalid samples": self.counts["invalid samples"],
+            "samples too late": live.late,
+        }
+
+    def statuses(self, now: int) -> list[DiagnosticStatus]:
+        """The state of each sensor at ``now`` (ns)."""
+        return [self._status(index, now) for index in range(len(self._sensors))]
+
+    def _status(self, index: int, now: int) -> DiagnosticStatus:
+        """The status of a sensor: its values, and the worst of its faults."""
+        sensor, samples = self._sensors[index], self._observer.samples
+        counts, newest = samples.counts[index], samples.newest[index]
+        topic = self._node.resolve_topic_name(sensor.measurement.topic)
+        age = (now - newest) / NS_PER_S if newest else math.inf
+        fault = self._fault(index, topic, age)
+        kinds = ("samples", "accepted", "rejected", "unused", "invalid", "dropped", "shed")
+        values = {
+            "topic": topic,
+            **{kind: counts[kind] for kind in kinds},
+            "rate [Hz]": f"{self.rate(index):.4g}",
+            "age [s]": f"{age:.3f}",
+        }
+        return self._node.status(
+            f"{SENSOR_STATUS}{sensor.name}",
+            DiagnosticStatus.WARN if fault else DiagnosticStatus.OK,
+            fault or f"{counts['accepted']} samples accepted",
+            values,
+            hardware=sensor.name,
+        )
+
+    def _fault(self, index: int, topic: str, age: float) -> str:
+        """The fault of a sensor since its last status; empty without a fault.
+
+        Args:
+            index: of the sensor.
+            topic: absolute name of its topic.
+            age: of its newest sample, s; infinite without any.
+        """
+        counts = self._observer.samples.counts[index]
+        timeout = self._sensors[index].measurement.timeout
+        new, self._told[index] = counts - self._told[index], Counter(counts)
+        if fault := self.problems[index] or self._receivers[topic].fault:
+            return fault
+        if age > timeout:
+            silent = f"no sample for {age:.3g} s" if age < math.inf else "no sample yet"
+            return f"{silent}; timeout is {timeout:g} s"
+        if new["dropped"]:
+            most = f"more than {MOST_KEPT} waited to be used"
+            return f"{new['dropped']} samples were dropped: {most}"
+        if new["shed"]:
+            return f"{new['shed']} samples were shed: the observer cannot keep up"
+        refused = new["rejected"] + new["invalid"]
+        return f"{refused} samples were rejected" if refused else ""
