@@ -34,7 +34,7 @@ from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
 from impact_observer.observer.replay import Impacts, noting_impacts
-from impact_observer.observer.sender_runs import placed
+from impact_observer.observer.sender_runs import runs_of
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimates, Stamps
 
@@ -87,7 +87,7 @@ def observe_bag(
         stamps = stamps[stamps >= min(known)]
     has_covariance = observer.law.has_covariance
     check_size(reader, observer.system, output, stamps, has_covariance=has_covariance)
-    if rate is None and (line := unseen_events(events, stamps, epoch)):
+    if rate is None and (line := unseen_events(events, stamps)):
         warn(line)
     for line in give_inputs(reader, observer):
         warn(line)
@@ -189,7 +189,7 @@ def sample_stamps(
         if truth is None or not reader.topics[truth].count:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
         return _stamps_of(reader, truth)
-    used = [each.event for each in placed(events, epoch) if each.period >= 0]
+    used = [event for run in runs_of(events) for event in run]
     if not used:
         return np.empty(0, dtype=np.int64)
     start = max(epoch or used[0].epoch or used[0].stamp, reader.low)
@@ -199,10 +199,10 @@ def sample_stamps(
     return grid(start, last, rate)
 
 
-def unseen_events(events: Sequence[ImpactEvent], stamps: Stamps, epoch: int) -> str:
+def unseen_events(events: Sequence[ImpactEvent], stamps: Stamps) -> str:
     """A warning if events come after the last estimate; otherwise empty."""
     end = int(stamps.max()) if stamps.size else 0
-    used = [each.event for each in placed(events, epoch) if each.period >= 0]
+    used = [event for run in runs_of(events) for event in run]
     if not (later := sum(each.stamp > end for each in used)):
         return ""
     return (

@@ -291,8 +291,7 @@ class ObserverNode(BaseNode):
         self._is_turn = True
         self.take_clock()
         self._take_impacts(self._impacts.waiting(MOST_WAITING))
-        with self.observer.without_new_samples():
-            self._publish_due()
+        self._publish_due()
         self._is_turn = False
         end = time.monotonic()
         self._next_turn = end + max(_TURN, end - begin)  # at least half of the time is for events
