@@ -206,7 +206,7 @@ class Observer:
         self._without_start: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
         self._issued = IssuedVerdicts(self._names)
         self._numbers = SequenceNumbers()
-        self._lowest = self._earliest = 0
+        self._earliest = 0
         self._carry_over([each for each in keys if each.sample])
 
     def take_pulse(self, stamp: int) -> None:
@@ -229,7 +229,7 @@ class Observer:
             DynamicsError: the loads of closed contacts cannot be found; the event is not applied.
             UsageError: the forcing depends on time and its epoch is unknown.
         """
-        received = self._received(event)
+        received = self._admit(event)
         if not isinstance(received, _Received):
             return (*received, *self._taken_revised())
         entries = outcome(self._inserting([received.key]))
@@ -261,7 +261,7 @@ class Observer:
                 accepted: dict[EventKey, _Received] = {}
                 for each in together:
                     try:
-                        received = self._received(each, accepted)
+                        received = self._admit(each, accepted)
                     except UsageError as error:
                         received = (_verdict(each, Ruling.REJECTED, str(error)),)
                     if isinstance(received, _Received):
@@ -273,7 +273,7 @@ class Observer:
                     for each, verdicts in self._verdicts([*accepted.values()], entries):
                         yield each, (*verdicts, *self._taken_revised())
 
-    def _received(
+    def _admit(
         self, event: ImpactEvent, accepted: Mapping[EventKey, object] | None = None
     ) -> _Received | tuple[Verdict, ...]:
         """The place of an event, beside others just ``accepted``; or verdicts that refuse it.
@@ -297,17 +297,12 @@ class Observer:
         key = EventKey(event.stamp, event.sequence, switches)
         if switches and (key in (accepted or ()) or (self.timeline and key in self.timeline)):
             return self._refuse(event, Ruling.DUPLICATE, "it was seen", Remark.DUPLICATE)
-        if event.sequence:
-            self._lowest = min(self._lowest or event.sequence, event.sequence)
+        self._numbers.note(event.sequence)
         timeline = self._timeline_with(event.stamp)
         if not timeline.accepts(key):
-            self._numbers.note(event.sequence)
             reason = f"before {text(timeline.earliest)} s, the start of the history"
             return self._refuse(event, Ruling.TOO_LATE, reason, Remark.TOO_LATE)
-        if not switches:
-            self._numbers.note(event.sequence)
-            return self._with_notice(verdicts)
-        return _Received(event, key, verdicts)
+        return _Received(event, key, verdicts) if switches else self._with_notice(verdicts)
 
     def _followed(self, event: ImpactEvent) -> str:
         """Follow the run of the sender to which an event belongs; why not, or nothing."""
@@ -318,26 +313,30 @@ class Observer:
             return f"{SenderRun.of(event).name} is older than {before.name}"
         self._run = after
         if before is None or before.has(event):
-            self._adopt(event.epoch)
+            self._adopt(after)
             return ""
-        self._begin_run(
-            event.epoch or self.given_epoch, self._keys_since(event.epoch or event.stamp)
-        )
-        self._notice = f"{after.name} is new: the observer is reset"
-        self.restarts += 1
+        since = event.epoch or event.stamp
+        self._begin_run(event.epoch or self.given_epoch, self._keys_since(since))
+        self._note_restart(after)
         return ""
 
-    def _adopt(self, epoch: int) -> None:
-        """Take the ``epoch`` (ns) of the events, if it is another one.
+    def _adopt(self, run: SenderRun) -> None:
+        """Take the epoch of a ``run`` in use, if it is another one than was given or assumed.
 
         A robot that started at its encoders after the epoch needs no other one.
         """
-        is_fine = epoch <= self.epoch if self.encoders is not None else epoch == self.epoch
+        epoch, before = run.epoch, self.epoch
+        is_fine = epoch <= before if self.encoders is not None else epoch == before
         if not epoch or is_fine:
             return
-        before, self.epoch = self.epoch, epoch
+        self.epoch = epoch
         if before and self.timeline is not None:
             self._carry_over(self._keys_since(epoch))
+            self._note_restart(run)
+
+    def _note_restart(self, run: SenderRun) -> None:
+        self._notice = f"{run.name} is new: the observer is reset"
+        self.restarts += 1
 
     def _keys_since(self, stamp: int) -> list[EventKey]:
         """The events and samples that are kept, from ``stamp`` (ns) on."""
@@ -363,7 +362,7 @@ class Observer:
         if timeline is not None and stamp < timeline.newest - self._history:
             return timeline
         self._earliest = min(self._earliest or stamp, stamp)
-        start = self.epoch if self.epoch and self._lowest <= 1 else self._earliest
+        start = self.epoch if self.epoch and self._numbers.lowest <= 1 else self._earliest
         if self.encoders is not None:
             start = self.encoders.stamp
         if timeline is None or (timeline.is_complete and timeline.start != start):
@@ -376,12 +375,13 @@ class Observer:
         if replicas is None:
             initial = self._initial if self.encoders is None else self.encoders.state
             replicas = spread(initial, self._root, self.ensemble)
-        if self.timeline is None:
-            self.timeline = Timeline(self.law, self._test, self._history, self.samples.sensors)
+        timeline = self.timeline
+        if timeline is None:
+            timeline = Timeline(self.law, self._test, self._history, self.samples.sensors)
         zero, replicas = self.epoch or stamp, self._to_frame(stamp, replicas)
-        self.timeline.begin(replicas, self._root, stamp, zero, self._carried)
-        self._carried = []
-        return self.timeline
+        timeline.begin(replicas, self._root, stamp, zero, self._carried)
+        self.timeline, self._carried = timeline, []
+        return timeline
 
     def _inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Sequence[Entry]]:
         """``Timeline.inserting``; meanwhile estimates are those of before."""
@@ -398,29 +398,24 @@ class Observer:
     def _verdicts(
         self, received: Sequence[_Received], entries: Sequence[Entry]
     ) -> list[tuple[ImpactEvent, tuple[Verdict, ...]]]:
-        """The verdicts on events that were inserted, in order; ``entries`` from the first on."""
-        place = {entry.key: i for i, entry in enumerate(entries)}
-        first = min(place[each.key] for each in received)
-        owns = {each.key[:2] for each in received}
-        notes, others = self._issue(entries[first:], owns)
-        found, new = (
-            list[tuple[ImpactEvent, tuple[Verdict, ...]]](),
-            {each.key for each in received},
-        )
-        for event, key, verdicts in received:
-            entry = entries[place[key]]
-            self._numbers.note(event.sequence)
+        """The verdicts on events that were inserted, in order; ``entries`` are those made."""
+        new = {each.key: each for each in received}
+        first = next(i for i, entry in enumerate(entries) if entry.key in new)
+        notes, others = self._issue(entries[first:], {key[:2] for key in new})
+        found, again = list[tuple[ImpactEvent, tuple[Verdict, ...]]](), 0
+        for entry in reversed(entries[first:]):
+            if entry.key not in new:
+                again += entry.is_event
+                continue
+            event, _, verdicts = new[entry.key]
             self.remarks[Remark.MISFIT] += bool(entry.belief.misfit)
-            later = entries[place[key] + 1 :]
-            again = sum(each.is_event and each.key not in new for each in later)
             self.remarks[Remark.LATE] += again > 0
             late = f"late: {again} event{'s' * (again != 1)} run again" if again else ""
             index = self._index
             made = [with_outcome(v, index.get(v.contact, -1), entry, notes) for v in verdicts]
-            made[0] = with_reasons(made[0], [late])
-            found.append((event, (*self._with_notice(tuple(made)), *others)))
-            others = ()
-        return found
+            found.append((event, (with_reasons(made[0], [late]), *made[1:])))
+        (event, own), *later = reversed(found)
+        return [(event, (*self._with_notice(own), *others)), *later]
 
     def _issue(
         self, entries: Sequence[Entry], owns: Iterable[tuple[int, int]] = ()

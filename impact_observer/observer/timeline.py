@@ -212,6 +212,7 @@ class Timeline:
         made = [self.entries[first - 1]]
         every = sorted([*(entry.key for entry in self.entries[first:]), *new])
         for _, of_stamp in groupby(every, key=attrgetter("stamp")):
+            give_turn()
             made += self._after(made[-1], [*of_stamp])
             yield
         del made[0]
@@ -281,7 +282,6 @@ class Timeline:
 
         An event that cannot be applied has no effect, and its entry the error.
         """
-        give_turn()
         entries, events = [previous], [each for each in keys if not each.sample]
         for event, switches in zip(events, acting(events), strict=True):
             before = entries[-1]
