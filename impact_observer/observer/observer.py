@@ -73,7 +73,7 @@ BEFORE_EPOCH = NS_PER_S
 """How long before its own epoch an event may be stamped, ns: above jitter."""
 
 
-class _Received(NamedTuple):
+class _Admitted(NamedTuple):
     """An event that is to be put into the timeline.
 
     Attributes:
@@ -230,7 +230,7 @@ class Observer:
             UsageError: the forcing depends on time and its epoch is unknown.
         """
         received = self._admit(event)
-        if not isinstance(received, _Received):
+        if not isinstance(received, _Admitted):
             return (*received, *self._taken_revised())
         entries = outcome(self._inserting([received.key]))
         for entry in entries:
@@ -258,13 +258,13 @@ class Observer:
             for each in sorted(members, key=lambda each: (each.stamp, each.sequence)):
                 (late if each.stamp <= newest else others).append(each)
             for together in (late, *([each] for each in others)):
-                accepted: dict[EventKey, _Received] = {}
+                accepted: dict[EventKey, _Admitted] = {}
                 for each in together:
                     try:
                         received = self._admit(each, accepted)
                     except UsageError as error:
                         received = (_verdict(each, Ruling.REJECTED, str(error)),)
-                    if isinstance(received, _Received):
+                    if isinstance(received, _Admitted):
                         accepted[received.key] = received
                     else:
                         yield each, (*received, *self._taken_revised())
@@ -275,7 +275,7 @@ class Observer:
 
     def _admit(
         self, event: ImpactEvent, accepted: Mapping[EventKey, object] | None = None
-    ) -> _Received | tuple[Verdict, ...]:
+    ) -> _Admitted | tuple[Verdict, ...]:
         """The place of an event, beside others just ``accepted``; or verdicts that refuse it.
 
         Raises:
@@ -302,7 +302,7 @@ class Observer:
         if not timeline.accepts(key):
             reason = f"before {text(timeline.earliest)} s, the start of the history"
             return self._refuse(event, Ruling.TOO_LATE, reason, Remark.TOO_LATE)
-        return _Received(event, key, verdicts) if switches else self._with_notice(verdicts)
+        return _Admitted(event, key, verdicts) if switches else self._with_notice(verdicts)
 
     def _followed(self, event: ImpactEvent) -> str:
         """Follow the run of the sender to which an event belongs; why not, or nothing."""
@@ -396,7 +396,7 @@ class Observer:
         return entries
 
     def _verdicts(
-        self, received: Sequence[_Received], entries: Sequence[Entry]
+        self, received: Sequence[_Admitted], entries: Sequence[Entry]
     ) -> list[tuple[ImpactEvent, tuple[Verdict, ...]]]:
         """The verdicts on events that were inserted, in order; ``entries`` are those made."""
         new = {each.key: each for each in received}
