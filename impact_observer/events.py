@@ -97,17 +97,11 @@ class Remark(Enum):
     """Irregularities of a stream of events that are counted; values are names of the counts."""
 
     DUPLICATE = "duplicates"
-    GAP = "sequence gaps"
     LATE = "late events"
     TOO_LATE = "too late"
-    DISORDER = "stamps against sequence"
-    SUPERSEDED = "superseded impacts"
     UNKNOWN_CONTACT = "unknown contacts"
-    UNCONFIRMED = "of another episode or epoch"
+    OLD_RUN = "of an older episode or epoch"
     BEFORE_EPOCH = "stamped before their epoch"
-    LEAP = "leaps of sequence numbers"
-    EPISODE = "new episodes"
-    EPOCH = "new epochs"
     REVISED = "revised verdicts"
     MISFIT = "events the model does not explain"
 

@@ -25,7 +25,6 @@ from impact_observer.model.contact_sensors import NO_SENSORS, ContactErrors
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.system import unit_of
-from impact_observer.observer.episode import last_episode
 from impact_observer.observer.samples import SensorSample
 from impact_observer.states import Matrix, Vector
 
@@ -106,8 +105,7 @@ def determined(
     if not np.any(deviation):
         raise UsageError("deviation: 0 throughout; expected some state that is uncertain")
     system = replace(system, live=None)  # forces change no row
-    episode = last_episode(system, events)
-    run = RecordedRun(system, events, episode.epoch, episode.start, episode.keys)
+    run = RecordedRun.last(system, events)
     within = run.start, max(key.stamp for key in run.keys)
     problem = BatchProblem(
         family=ParametricFamily(system, ()),

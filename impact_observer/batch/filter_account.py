@@ -58,7 +58,7 @@ class TracedLaw(MinimumVariance):
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """As the law does."""
         posterior = super().correct(change, belief)
-        trace = _Trace(change, posterior.notes, posterior.clock_deviation)
+        trace = _Trace(change, posterior.noted, posterior.clock_deviation)
         self.traces[change.stamp, change.sequence] = trace
         return posterior
 
@@ -82,7 +82,7 @@ def filter_moments(
     assert isinstance(law, TracedLaw), "as it was made"
     law.traces = {}
     nothing = np.empty(0, dtype=np.int64)
-    for _ in replay_batches(observer, events, nothing, rejects=True, by_stamps=True):
+    for _ in replay_batches(observer, events, nothing, rejects=True):
         progress(len(law.traces))
     decided = dict[tuple[int, int], list[Note]]()
     for _, trace in sorted(law.traces.items()):

@@ -23,7 +23,7 @@ from impact_observer.model.parameter_uncertainty import ParameterUncertainty, ro
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.system import refuse_squares
 from impact_observer.observer import Options
-from impact_observer.observer.episode import last_episode, require_epoch
+from impact_observer.observer.observer import require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.uncertainty import deviation_of, suggested_deviation
 from impact_observer.states import Matrix, Vector
@@ -173,9 +173,8 @@ def identify(
             f"{system.name}: its forcing is sampled, so {OFFSET} cannot be identified; expected"
             " other parameters, or a constant and harmonics"
         )
-    episode = last_episode(system, events)
+    run = RecordedRun.last(system, events)
     require_epoch(system, max(each.epoch for each in events))
-    run = RecordedRun(system, events, episode.epoch, episode.start, episode.keys)
     options = Options(
         dead_time=dead_time,
         mislabelled=mislabelled,

@@ -9,16 +9,17 @@ import numpy as np
 from impact_observer.batch.filter_account import TracedLaw, filter_moments
 from impact_observer.batch.moments import Moment, Moments, MomentSwitching
 from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.errors import BagError
 from impact_observer.events import MISLABELLED, ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.episode import changes
-from impact_observer.observer.event_order import EventKey, keys_of
+from impact_observer.observer.event_order import EventKey, keys_of, switched
+from impact_observer.observer.sender_runs import runs_of
 from impact_observer.observer.unknown_parameters import UnknownParameters
-from impact_observer.stamps import Elapsed
+from impact_observer.stamps import Elapsed, seconds_between
 from impact_observer.states import Vector
 
 
@@ -51,9 +52,33 @@ class RecordedRun:
         keys = [key for key in keys_of(events, index) if key.stamp >= start]
         return cls(system, events, epoch or start, start, keys)
 
+    @classmethod
+    def last(cls, system: System, events: Sequence[ImpactEvent]) -> "RecordedRun":
+        """The last run of ``events``, in order of reception.
+
+        Raises:
+            BagError: it contains no impact of the system's contacts.
+        """
+        runs = runs_of(events)
+        run = cls.of(system, runs[-1]) if runs else None
+        if run is None or not any(change.hit for change in run.changes()):
+            named = {s.contact for each in runs[-1:] for e in each for s in e.switches}
+            own = system.contact_names
+            wanted, others = (", ".join(each) or "none" for each in (own, sorted(named - {*own})))
+            raise BagError(
+                f"contains no impact of the model's contacts ({wanted}); others in it: {others}"
+            )
+        return run
+
     def reported(self) -> Moments:
         """The moments if all events are as they were reported."""
-        return self._moments([(c, True) for c in changes(self.keys, self.epoch)])
+        return self._moments([(change, True) for change in self.changes()])
+
+    def changes(self) -> Iterator[ContactChange]:
+        """The changes of the contacts at each event, with seconds since the epoch."""
+        for key, closed, switches in switched(self.keys):
+            t = seconds_between(self.epoch, key.stamp)
+            yield ContactChange.of(t, closed, switches, stamp=key.stamp, sequence=key.sequence)
 
     def by_filter(
         self,

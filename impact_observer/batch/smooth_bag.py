@@ -122,7 +122,7 @@ def smooth_bag(
     except BagError as error:
         raise type(error)(f"{reader.path}: {error}") from None
     left_out = [*samples.problems, *problems]
-    if rate is None and (line := unseen_events(events, stamps, options.epoch)):
+    if rate is None and (line := unseen_events(events, stamps)):
         left_out.append(line)
     own = (*_ESTIMATES, _VERDICTS, _IMPACTS, _IMPACT_ESTIMATES)
     with all_or_nothing(output) as writer:

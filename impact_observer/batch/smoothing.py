@@ -24,9 +24,9 @@ from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.system import refuse_squares
 from impact_observer.observer import Options, initial_state, make_observer
-from impact_observer.observer.episode import require_epoch
+from impact_observer.observer.observer import require_epoch
 from impact_observer.observer.samples import SensorSample
-from impact_observer.observer.sender_runs import placed
+from impact_observer.observer.sender_runs import runs_of
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix
@@ -85,15 +85,12 @@ def smoothed_runs(
         raise UsageError(
             f"model_error: {options.model_error:g} found; smooth finds the error of the model"
         )
-    runs: dict[int, list[ImpactEvent]] = {}
-    for each in placed(events, options.epoch):
-        if each.period >= 0:
-            runs.setdefault(each.period, []).append(each.event)
+    runs = runs_of(events)
     if not runs:
         raise BagError("it holds no impact")
-    begins = [min(each.stamp for each in run) for run in runs.values()]
+    begins = [min(each.stamp for each in run) for run in runs]
     found = list[SmoothedRun]()
-    for own, (begin, end) in zip(runs.values(), pairwise([*begins, MAX_STAMP + 1]), strict=True):
+    for own, (begin, end) in zip(runs, pairwise([*begins, MAX_STAMP + 1]), strict=True):
         first = begin if found else 0
         near = [each for each in samples if first <= each.stamp < end]
         found.append(

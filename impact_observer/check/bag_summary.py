@@ -21,7 +21,7 @@ def summary_of(reader: BagReader, events: Sequence[ImpactEvent]) -> dict[str, An
     """The contents of a bag, as ``--json`` prints them.
 
     Stamps are in ns, ``duration`` is in s and the ``rate`` of a topic in Hz. A closing counts as
-    an impact, and an impact that a closing supersedes does not count.
+    an impact, and an impact that a closing replaces does not count.
 
     Args:
         reader: the bag.

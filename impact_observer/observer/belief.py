@@ -91,11 +91,6 @@ class Belief(NamedTuple):
     clock_deviation: float = 0.0
 
     @property
-    def weighs(self) -> bool:
-        """Whether its law weighs what each event was."""
-        return self.bank is not None
-
-    @property
     def notes(self) -> tuple[Note, ...]:
         """What the likeliest hypothesis decides on the latest events."""
         return self.noted

@@ -3,7 +3,6 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from copy import copy
 
 import numpy as np
 
@@ -56,11 +55,9 @@ class EncoderStart:
                 self._first[key.sensor], changed = key, True
         return changed
 
-    def anew(self) -> "EncoderStart":
-        """The same without any sample."""
-        found = copy(self)
-        found._first = {}  # noqa: SLF001 (of the same class)
-        return found
+    def forget(self) -> None:
+        """Forget all samples."""
+        self._first.clear()
 
     @property
     def lacking(self) -> tuple[str, ...]:

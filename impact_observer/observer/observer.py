@@ -2,16 +2,17 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from itertools import pairwise
-from typing import NamedTuple, TypeAlias, cast
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from itertools import groupby, pairwise
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.arrays_of_states import StateArrays
-from impact_observer.errors import DynamicsError, ImpactObserverError, UsageError
+from impact_observer.bank.note import Note
+from impact_observer.dynamics import mechanism_of
+from impact_observer.errors import UsageError
 from impact_observer.events import (
     REVISED,
     Contacts,
@@ -29,21 +30,32 @@ from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_file import ModelSource, model_of
 from impact_observer.model.multibody import is_multibody
+from impact_observer.observer.belief import Prediction
+from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.encoder_start import EncoderStart
-from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
+from impact_observer.observer.event_order import EventKey, Switches
+from impact_observer.observer.impact_sides import ImpactSides, Near
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.readings import sensors_of
-from impact_observer.observer.run_history import RunHistory, misplaced
+from impact_observer.observer.readings import SampleOutcome, sensors_of
 from impact_observer.observer.samples import SampleStream, SensorSample
-from impact_observer.observer.sender_runs import SenderRun, SenderRuns
+from impact_observer.observer.sender_runs import SenderRun, SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
-from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
+from impact_observer.observer.timeline import Entry, Timeline, outcome
 from impact_observer.observer.uncertainty import covariance_root, spread
-from impact_observer.observer.verdicts import with_reasons
+from impact_observer.observer.verdicts import IssuedVerdicts, Subject, with_outcome, with_reasons
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot
-from impact_observer.stamps import NS_PER_S, from_seconds, text, whole_stamp, whole_stamps
+from impact_observer.stamps import (
+    NS_PER_S,
+    Elapsed,
+    from_seconds,
+    seconds_between,
+    text,
+    whole_stamp,
+    whole_stamps,
+)
 from impact_observer.states import (
+    NO_COVARIANCE,
     Estimate,
     Estimates,
     Matrix,
@@ -57,26 +69,22 @@ MOST_FLIGHTS = 8
 """Flights in which sources of deviations are looked for."""
 MOST_WAITING = 1000
 """Events that are kept until their epoch is known."""
+BEFORE_EPOCH = NS_PER_S
+"""How long before its own epoch an event may be stamped, ns: above jitter."""
 
 
-class _Waiting(NamedTuple):
-    """A late event that is not applied yet.
+class _Admitted(NamedTuple):
+    """An event that is to be put into the timeline.
 
     Attributes:
         event: the event.
-        verdicts: verdicts on the switches of the event.
-        is_overtaken: whether an event with a higher number was received earlier.
-        notices: notices about the sequence number.
+        key: its place.
+        verdicts: on its switches, as they were received.
     """
 
     event: ImpactEvent
+    key: EventKey
     verdicts: tuple[Verdict, ...]
-    is_overtaken: bool
-    notices: Sequence[str] = ()
-
-
-_Late: TypeAlias = dict[RunHistory, dict[EventKey, _Waiting]]
-"""Late events that are not applied yet, by the run of the sender to which they belong."""
 
 
 class Observer:
@@ -85,19 +93,24 @@ class Observer:
     The others have different initial states, drawn from the declared uncertainty: their distance
     indicates the observer's own error. The estimate does not depend on them.
 
-    The initial state holds at the epoch. When the observer joins later, so that the lowest
-    sequence number it receives is not 1, it holds at the first stamp received. A robot may start
-    at the first samples of its encoders instead, whose stamp is its epoch if nothing says it.
+    An estimate is a function of the events and samples known, which a ``Timeline`` has in order,
+    and of its stamp. The initial state holds at the epoch. When the observer joins later, so that
+    the lowest sequence number it receives is not 1, it holds at the first stamp received. A robot
+    may start at the first samples of its encoders instead, whose stamp is its epoch if nothing
+    says it.
 
     Attributes:
         system: the system that plant and replica share.
         law: the law that corrects the replicas at an event.
         ensemble: how many replicas are run together.
         given_epoch: the epoch that was given, ns; 0 for none.
+        epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
+        timeline: the events and samples that are kept, each with the belief after it; None before
+            the start is known.
         remarks: how often the stream of events was irregular, by kind.
         live: signals to which samples may be added at any time; None where the system has none.
         robot: the robot; None of a linear system.
-        encoders: where the next run of a robot starts; None for its initial state.
+        encoders: where a robot starts; None for its initial state.
         samples: samples of the sensors beside the impacts, and verdicts on samples.
         restarts: how often a new episode or epoch has restarted the replica.
     """
@@ -148,8 +161,6 @@ class Observer:
         self.robot = cast(Robot, system) if system.has_encoders else None
         self.encoders = encoders
         self.samples = SampleStream(sensors_of(measurements, system))
-        self._revised: list[Verdict] = []
-        self._is_inserting = False
         self.system: System = system  # type: ignore[assignment]
         self.law = law
         self._initial = np.concatenate([q, u])
@@ -157,13 +168,14 @@ class Observer:
         self.ensemble = ensemble
         self._starts: Matrix | None = None
         self._test = SynchronizationTest(system)
+        self._mechanism, self._sides = mechanism_of(self.system), ImpactSides(law)
         self._history = from_seconds(history)
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}
         self.given_epoch = whole_stamp(epoch, "epoch")
         self.remarks: Counter[Remark] = Counter()
         self.restarts = 0
-        self._notices: list[str] = []
+        self._notice = ""
         self.restart()
 
     def __repr__(self) -> str:
@@ -174,13 +186,28 @@ class Observer:
 
     def restart(self, reason: str = "") -> None:
         """Forget all events and samples; the next verdict names the ``reason``, if any."""
-        if reason:
-            self._notices = [*self._notices, f"{reason}: the observer is reset"]
-        self._runs = SenderRuns(self.given_epoch)
-        self._without_epoch: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
+        self._notice = f"{reason}: the observer is reset" if reason else self._notice
+        self._run: SenderRun | None = None
         self._assumed_epoch = 0
         self.samples.clear()
+        self._revised: list[Verdict] = []
+        self._is_inserting = False
+        self._carried: Sequence[EventKey] = ()
+        self.timeline: Timeline | None = None
         self._begin_run(self.given_epoch)
+        if self.given_epoch and self.encoders is None:
+            self._begin(self.given_epoch)
+
+    def _begin_run(self, epoch: int, keys: Sequence[EventKey] = ()) -> None:
+        """Forget all but samples among ``keys``; the ``epoch`` (ns) is 0 while unknown."""
+        self.epoch = epoch
+        if self.live is not None and epoch:
+            self.live.follow(epoch)
+        self._without_start: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
+        self._issued = IssuedVerdicts(self._names)
+        self._numbers = SequenceNumbers()
+        self._earliest = 0
+        self._carry_over([each for each in keys if each.sample])
 
     def take_pulse(self, stamp: int) -> None:
         """The phase of the drive is zero at ``stamp`` (ns).
@@ -188,31 +215,10 @@ class Observer:
         The first pulse is the epoch unless the events or the caller give the epoch.
         """
         self._assumed_epoch = self._assumed_epoch or stamp
-        if not self.epoch:
-            self._run.epoch = self._assumed_epoch
-
-    def _begin_run(self, epoch: int) -> None:
-        """Start with a run of the sender whose ``epoch`` (ns) is known, or 0."""
-        epoch = epoch or self._assumed_epoch
-        encoders = None if self.encoders is None else self.encoders.anew()
-        self._run = RunHistory(
-            self.law,
-            self._test,
-            epoch,
-            first_entry=self._first_entry,
-            history=self._history,
-            sensors=self.samples.sensors,
-            encoders=encoders,
-        )
-        if self.live is not None and epoch:
-            self.live.follow(epoch)
-        if self.given_epoch and epoch == self.given_epoch and self.encoders is None:
-            self._run.begin(epoch)
+        self.epoch = self.epoch or self._assumed_epoch
 
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """Apply ``event`` at its own stamp, whenever it arrives.
-
-        An event of another run of the sender is kept until the next one confirms it.
 
         Returns:
             One verdict a switch, or one on the whole event; then those on inserted impacts, and
@@ -223,104 +229,18 @@ class Observer:
             DynamicsError: the loads of closed contacts cannot be found; the event is not applied.
             UsageError: the forcing depends on time and its epoch is unknown.
         """
-        return self._take(event)
-
-    def _take(self, event: ImpactEvent, waiting: _Late | None = None) -> tuple[Verdict, ...]:
-        """``receive`` an event; a late event is put into ``waiting``, if given."""
-        if event.epoch - event.stamp > NEAR_STAMPS:
-            reason = f"stamped before its own epoch, {text(event.epoch)} s"
-            return self._refuse(event, Ruling.REJECTED, reason, Remark.BEFORE_EPOCH)
-        weighed = self._runs.weigh(event)
-        if weighed.reason:
-            return self.refuse(event, weighed.reason)
-        if weighed.previous is not None:
-            self._change_run(weighed.previous)
-            self.samples.again(self.epoch or event.stamp)
-        elif self._runs.in_use is not None:
-            self._adopt(self._runs.in_use.epoch)
-        released = weighed.released
-        if self._without_epoch and self.epoch and not self.lacking:
-            released = (*self._without_epoch, *released)
-            self._without_epoch.clear()
-        if released:
-            return self._receive_again(released, event)
-        return self._receive(event, waiting)
-
-    def _adopt(self, epoch: int) -> None:
-        """Take the ``epoch`` (ns) of the run in use, if the epoch is unknown or assumed.
-
-        A robot that started at its encoders after the epoch needs no other one.
-        """
-        is_assumed = self.epoch == self._assumed_epoch and not self.given_epoch
-        is_fine = epoch <= self.epoch if self._run.encoders is not None else epoch == self.epoch
-        if not epoch or is_fine or not is_assumed:
-            return
-        if self.epoch and self._run.timeline is not None:
-            self._begin_run(epoch)
-            self.samples.again(epoch)
-        else:
-            self._run.epoch = epoch
-
-    def _receive_again(
-        self, released: Iterable[ImpactEvent], event: ImpactEvent
-    ) -> tuple[Verdict, ...]:
-        """``receive`` an event, and apply the ``released`` events that were refused so far."""
-        notices, self._notices = self._notices, []
-        again: list[Verdict] = []
-        for each in released:
-            with suppress(DynamicsError):  # its first verdict stays
-                again += self._receive(each)
-        self._notices = [*notices, *self._notices]
-        revised = [
-            each._replace(reason=f"{REVISED}{each.reason or 'as reported'}", revises=True)
-            for each in again
-        ]
-        return (*self._receive(event), *revised)
-
-    def _receive(self, event: ImpactEvent, waiting: _Late | None = None) -> tuple[Verdict, ...]:
-        """``_take`` an event of the run in use."""
-        self._follow()
-        try:
-            self.require_start()
-            self._run.require_epoch()
-        except UsageError:
-            self._without_epoch.append(event)
-            raise
-        verdicts, switches = self._resolve_contacts(event)
-        key = EventKey(event.stamp, event.sequence, switches)
-        late = {} if waiting is None else waiting.setdefault(self._run, {})
-        if switches and (key in late or (self.timeline is not None and key in self.timeline)):
-            return self._refuse(event, Ruling.DUPLICATE, "it was seen", Remark.DUPLICATE)
-        notices, numbers = self._notices, self._run.numbers
-        is_overtaken = 0 < event.sequence < numbers.highest
-        if irregularity := numbers.note(event.sequence):
-            self.remarks[irregularity[0]] += 1
-            self._notices = [*notices, irregularity[1]]
-        try:
-            if why := self._run.too_old(event.stamp):
-                return self._refuse(event, *why)
-            timeline = self._run.timeline_from_start(event.stamp)
-            if not switches:  # its stamp must not shorten the past
-                return self._with_notices(verdicts)
-            if timeline.newest.stamp >= key.stamp:
-                if why := misplaced(key, timeline):
-                    return self._refuse(event, *why)
-                if waiting is not None:
-                    late[key] = _Waiting(event, verdicts, is_overtaken, self._notices)
-                    self._notices = []
-                    return ()
-            insertion = timeline.insert(key)
-        except ImpactObserverError:
-            numbers.discard(event.sequence)
-            self._notices = notices
-            raise
-        ((own,), others) = self._inserted(
-            self._run, [(_Waiting(event, verdicts, is_overtaken), insertion)]
-        )
-        return (*own, *others)
+        received = self._admit(event)
+        if not isinstance(received, _Admitted):
+            return (*received, *self._taken_revised())
+        entries = outcome(self._inserting([received.key]))
+        for entry in entries:
+            if entry.key == received.key and entry.error is not None:
+                raise entry.error
+        ((_, verdicts),) = self._verdicts([received], entries)
+        return (*verdicts, *self._taken_revised())
 
     def receiving(
-        self, events: Sequence[ImpactEvent]
+        self, events: Iterable[ImpactEvent]
     ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
         """``receive`` several events; late events together, so that later events run again once.
 
@@ -332,74 +252,215 @@ class Observer:
         Yields:
             Each event with its verdicts; None after each step of work in between.
         """
-        if len(events) == 1 and not self._is_late(events[0]):  # as nearly always
-            yield events[0], self._receive_or_reject(events[0])
+        for _, members in groupby(events, key=lambda each: (each.epoch, each.episode)):
+            newest = 0 if self.timeline is None else self.timeline.newest
+            late, others = list[ImpactEvent](), list[ImpactEvent]()
+            for each in sorted(members, key=lambda each: (each.stamp, each.sequence)):
+                (late if each.stamp <= newest else others).append(each)
+            for together in (late, *([each] for each in others)):
+                accepted: dict[EventKey, _Admitted] = {}
+                for each in together:
+                    try:
+                        received = self._admit(each, accepted)
+                    except UsageError as error:
+                        received = (_verdict(each, Ruling.REJECTED, str(error)),)
+                    if isinstance(received, _Admitted):
+                        accepted[received.key] = received
+                    else:
+                        yield each, (*received, *self._taken_revised())
+                if accepted:
+                    entries = yield from self._inserting(accepted)
+                    for each, verdicts in self._verdicts([*accepted.values()], entries):
+                        yield each, (*verdicts, *self._taken_revised())
+
+    def _admit(
+        self, event: ImpactEvent, accepted: Mapping[EventKey, object] | None = None
+    ) -> _Admitted | tuple[Verdict, ...]:
+        """The place of an event, beside others just ``accepted``; or verdicts that refuse it.
+
+        Raises:
+            UsageError: the start is not known yet; the event is kept until it is.
+        """
+        if event.epoch - event.stamp > BEFORE_EPOCH:
+            reason = f"stamped before its own epoch, {text(event.epoch)} s"
+            return self._refuse(event, Ruling.REJECTED, reason, Remark.BEFORE_EPOCH)
+        if reason := self._followed(event):
+            return self._refuse(event, Ruling.REJECTED, reason, Remark.OLD_RUN)
+        self._follow()
+        try:
+            self.require_start()
+            require_epoch(self.system, self.epoch)
+        except UsageError:
+            self._without_start.append(event)
+            raise
+        verdicts, switches = self._resolve_contacts(event)
+        key = EventKey(event.stamp, event.sequence, switches)
+        if switches and (key in (accepted or ()) or (self.timeline and key in self.timeline)):
+            return self._refuse(event, Ruling.DUPLICATE, "it was seen", Remark.DUPLICATE)
+        self._numbers.note(event.sequence)
+        timeline = self._timeline_with(event.stamp)
+        if not timeline.accepts(key):
+            reason = f"before {text(timeline.earliest)} s, the start of the history"
+            return self._refuse(event, Ruling.TOO_LATE, reason, Remark.TOO_LATE)
+        return _Admitted(event, key, verdicts) if switches else self._with_notice(verdicts)
+
+    def _followed(self, event: ImpactEvent) -> str:
+        """Follow the run of the sender to which an event belongs; why not, or nothing."""
+        before = self._run
+        after = SenderRun.of(event) if before is None else before.after(event)
+        if after is None:
+            assert before is not None, "the first run is followed"
+            return f"{SenderRun.of(event).name} is older than {before.name}"
+        self._run = after
+        if before is None or before.has(event):
+            self._adopt(after)
+            return ""
+        since = event.epoch or event.stamp
+        self._begin_run(event.epoch or self.given_epoch, self._keys_since(since))
+        self._note_restart(after)
+        return ""
+
+    def _adopt(self, run: SenderRun) -> None:
+        """Take the epoch of a ``run`` in use, if it is another one than was given or assumed.
+
+        A robot that started at its encoders after the epoch needs no other one.
+        """
+        epoch, before = run.epoch, self.epoch
+        is_fine = epoch <= before if self.encoders is not None else epoch == before
+        if not epoch or is_fine:
             return
-        late, others = list[ImpactEvent](), list[ImpactEvent]()
-        for event in events:
-            (late if self._is_late(event) else others).append(event)
-        if len({(each.epoch, each.episode) for each in others}) == 1:
-            others.sort(key=_order)
-        for some in (sorted(late, key=_order), others):
-            waiting: _Late = {}
-            try:
-                for event in some:
-                    verdicts = self._receive_or_reject(event, waiting)
-                    yield (event, verdicts) if verdicts else None
-                for run, of_run in waiting.items():
-                    yield from self._receive_waiting(run, of_run)
-            except GeneratorExit:  # whoever stops here may give the late events again
-                for run, of_run in waiting.items():
-                    for key in of_run:
-                        run.numbers.discard(key.sequence)
-                raise
+        self.epoch = epoch
+        if before and self.timeline is not None:
+            self._carry_over(self._keys_since(epoch))
+            self._note_restart(run)
 
-    def _follow(self) -> None:
-        """Use the samples received, except while events are inserted."""
-        if self._is_inserting:
-            return
-        waiting = self.samples.waiting
-        if waiting and self.robot is not None:
-            self._start_at(waiting)
-        if self.live is not None and self.epoch:
-            changed = self.live.follow(self.epoch)
-            if changed is not None:
-                self._run.rerun(changed)
-        if waiting and not self.lacking and (self.epoch or not self.system.depends_on_time):
-            outcomes, revised = self._run.measure(waiting)
-            waiting.clear()
-            for each in outcomes:
-                self.samples.judge(*each)
-            self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in revised)
-            self._revised += revised
-            if self.live is not None and (timeline := self._run.timeline) is not None:
-                self.live.forget_before(timeline.start.stamp)
+    def _note_restart(self, run: SenderRun) -> None:
+        self._notice = f"{run.name} is new: the observer is reset"
+        self.restarts += 1
 
-    def _start_at(self, waiting: Sequence[EventKey]) -> None:
-        """Find where a robot starts, and an epoch if none is known, by samples that wait."""
-        first, encoders = waiting[0].stamp, self._run.encoders
-        if encoders is not None:
-            changed = encoders.note(each for each in waiting if each.stamp >= self.epoch)
-            if encoders.lacking:
-                return
-            first = encoders.stamp
-            if changed:
-                self._run.rerun(0)
-        if not self.epoch:
-            self._assumed_epoch = self._run.epoch = first
+    def _keys_since(self, stamp: int) -> list[EventKey]:
+        """The events and samples that are kept, from ``stamp`` (ns) on."""
+        entries = self.timeline.entries if self.timeline is not None else ()
+        known = (
+            *self._carried,
+            *(each.key for each in entries if each.is_event or each.key.sample),
+        )
+        return [each for each in known if each.stamp >= stamp]
 
-    @property
-    def lacking(self) -> tuple[str, ...]:
-        """Names of the joints of a robot by whose encoders the start is not known yet."""
-        return () if self._run.encoders is None else self._run.encoders.lacking
+    def _carry_over(self, keys: Sequence[EventKey]) -> None:
+        """Begin anew with events and samples that are known already, once the start is."""
+        self.timeline, self._carried = None, keys
+        if self.encoders is not None:
+            self.encoders.forget()
+            self.encoders.note(each for each in keys if each.sample)
+        if keys and self._is_startable:
+            self._timeline_with(keys[0].stamp)
 
-    def require_start(self) -> None:
-        """Raise UsageError if the start is not known yet."""
-        if lacking := self.lacking:
-            raise UsageError(
-                f"initial state: no sample of an encoder of the joint {lacking[0]!r} found;"
-                " expected one first, or an initial state"
-            )
+    def _timeline_with(self, stamp: int) -> Timeline:
+        """The timeline, whose start may be moved by an event or a sample at ``stamp`` (ns)."""
+        timeline = self.timeline
+        if timeline is not None and stamp < timeline.newest - self._history:
+            return timeline
+        self._earliest = min(self._earliest or stamp, stamp)
+        start = self.epoch if self.epoch and self._numbers.lowest <= 1 else self._earliest
+        if self.encoders is not None:
+            start = self.encoders.stamp
+        if timeline is None or (timeline.is_complete and timeline.start != start):
+            timeline = self._begin(start)
+        return timeline
+
+    def _begin(self, stamp: int) -> Timeline:
+        """Have the initial state hold at ``stamp`` (ns)."""
+        replicas = self._starts
+        if replicas is None:
+            initial = self._initial if self.encoders is None else self.encoders.state
+            replicas = spread(initial, self._root, self.ensemble)
+        timeline = self.timeline
+        if timeline is None:
+            timeline = Timeline(self.law, self._test, self._history, self.samples.sensors)
+        zero, replicas = self.epoch or stamp, self._to_frame(stamp, replicas)
+        timeline.begin(replicas, self._root, stamp, zero, self._carried)
+        self.timeline, self._carried = timeline, []
+        return timeline
+
+    def _inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Sequence[Entry]]:
+        """``Timeline.inserting``; meanwhile estimates are those of before."""
+        assert self.timeline is not None, "they were accepted"
+        self._is_inserting = True
+        try:
+            entries = yield from self.timeline.inserting(keys)
+        finally:
+            self._is_inserting = False
+        if self.live is not None:
+            self.live.forget_before(self.timeline.start)
+        return entries
+
+    def _verdicts(
+        self, received: Sequence[_Admitted], entries: Sequence[Entry]
+    ) -> list[tuple[ImpactEvent, tuple[Verdict, ...]]]:
+        """The verdicts on events that were inserted, in order; ``entries`` are those made."""
+        new = {each.key: each for each in received}
+        first = next(i for i, entry in enumerate(entries) if entry.key in new)
+        notes, others = self._issue(entries[first:], {key[:2] for key in new})
+        found, again = list[tuple[ImpactEvent, tuple[Verdict, ...]]](), 0
+        for entry in reversed(entries[first:]):
+            if entry.key not in new:
+                again += entry.is_event
+                continue
+            event, _, verdicts = new[entry.key]
+            self.remarks[Remark.MISFIT] += bool(entry.belief.misfit)
+            self.remarks[Remark.LATE] += again > 0
+            late = f"late: {again} event{'s' * (again != 1)} run again" if again else ""
+            index = self._index
+            made = [with_outcome(v, index.get(v.contact, -1), entry, notes) for v in verdicts]
+            found.append((event, (with_reasons(made[0], [late]), *made[1:])))
+        (event, own), *later = reversed(found)
+        return [(event, (*self._with_notice(own), *others)), *later]
+
+    def _issue(
+        self, entries: Sequence[Entry], owns: Iterable[tuple[int, int]] = ()
+    ) -> tuple[Mapping[Subject, Note], tuple[Verdict, ...]]:
+        """``IssuedVerdicts.issue`` for ``entries`` that were applied."""
+        assert self.timeline is not None, "they were"
+        start = max(entries[0].key.stamp - self._history, self.timeline.start)
+        self._issued.forget_before(self.timeline.start)
+        notes, others = self._issued.issue(entries, start, {*owns})
+        self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
+        return notes, others
+
+    def _resolve_contacts(self, event: ImpactEvent) -> tuple[tuple[Verdict, ...], Switches]:
+        """A verdict for each switch, and the switches of contacts of the model, in order."""
+        if not event.switches:
+            return (_verdict(event, Ruling.REJECTED, "it names no contact"),), ()
+        verdicts: list[Verdict] = []
+        switches: list[tuple[int, Kind]] = []
+        for switch in event.switches:
+            verdict = Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
+            index = self._index.get(switch.contact)
+            if index is not None:
+                switches.append((index, switch.kind))
+            else:
+                self.remarks[Remark.UNKNOWN_CONTACT] += 1
+                reason = f"the model's contacts are {', '.join(self._index) or 'none'}"
+                verdict = verdict._replace(ruling=Ruling.UNKNOWN_CONTACT, reason=reason)
+            verdicts.append(verdict)
+        return tuple(verdicts), tuple(sorted({*switches}))
+
+    def _refuse(
+        self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark
+    ) -> tuple[Verdict, ...]:
+        self.remarks[remark] += 1
+        return self._with_notice((_verdict(event, ruling, reason),))
+
+    def _with_notice(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
+        """``verdicts``, the first of them with the reason of a restart, if there was one."""
+        notice, self._notice = self._notice, ""
+        return (with_reasons(verdicts[0], [notice]), *verdicts[1:]) if notice else verdicts
+
+    def _taken_revised(self) -> tuple[Verdict, ...]:
+        """The verdicts on earlier events that have changed since the last call."""
+        revised, self._revised = tuple(self._revised), []
+        return revised
 
     def measure(self, samples: Iterable[SensorSample]) -> tuple[Verdict, ...]:
         """Use samples of sensors, each at its own stamp, whenever they arrive.
@@ -412,8 +473,85 @@ class Observer:
         """
         self.samples.add_samples(samples)
         self._follow()
-        revised, self._revised = tuple(self._revised), []
-        return revised
+        return self._taken_revised()
+
+    def _follow(self) -> None:
+        """Use samples and events that wait, except while events are inserted."""
+        if self._is_inserting:
+            return
+        waiting = self.samples.waiting
+        if waiting and self.robot is not None:
+            self._start_at(waiting)
+        if self.live is not None and self.epoch:
+            changed = self.live.follow(self.epoch)
+            if changed is not None and self.timeline is not None:
+                self.timeline.rerun(changed)
+        if not self._is_startable:
+            return
+        if waiting:
+            keys = [*waiting]
+            waiting.clear()
+            self._use_samples(keys)
+        if self._without_start:
+            early = [*self._without_start]
+            self._without_start.clear()
+            for item in self.receiving(early):
+                for each in () if item is None else item[1]:
+                    reason = f"{REVISED}{each.reason or 'as reported'}"
+                    self._revised.append(each._replace(reason=reason, revises=True))
+
+    def _start_at(self, waiting: Sequence[EventKey]) -> None:
+        """Find where a robot starts, and an epoch if none is known, by samples that wait."""
+        first = waiting[0].stamp
+        if self.encoders is not None:
+            is_moved = self.encoders.note(each for each in waiting if each.stamp >= self.epoch)
+            if self.encoders.lacking:
+                return
+            first = self.encoders.stamp
+            if is_moved and self.timeline is not None and self.timeline.is_complete:
+                self._begin(first)
+        if not self.epoch:
+            self._assumed_epoch = self.epoch = first
+
+    def _use_samples(self, keys: Iterable[EventKey]) -> None:
+        """Put samples into their places; late samples together, so that events run again once."""
+        ordered, new = sorted({*keys}), list[EventKey]()
+        timeline = self._timeline_with(ordered[0].stamp)
+        for key in ordered:
+            reason = ""
+            if not timeline.accepts(key):
+                reason = f"too late: before {text(timeline.earliest)} s, the start of the history"
+            elif timeline.has_sample(key) or (new and new[-1][:2] == key[:2]):
+                reason = "the sensor has another sample of the same stamp"
+            if reason:
+                self.samples.judge(key, SampleOutcome(0.0, -1.0, False, reason))
+            else:
+                new.append(key)
+        if not new:
+            return
+        entries, own = outcome(self._inserting(new)), {*new}
+        for entry in entries:
+            if entry.outcome is not None and entry.key in own:
+                self.samples.judge(entry.key, entry.outcome)
+        self._revised += self._issue(entries)[1]
+
+    @property
+    def _is_startable(self) -> bool:
+        """Whether it is known when the initial state holds."""
+        return not self.lacking and bool(self.epoch or not self.system.depends_on_time)
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Names of the joints of a robot by whose encoders the start is not known yet."""
+        return () if self.encoders is None else self.encoders.lacking
+
+    def require_start(self) -> None:
+        """Raise UsageError if the start is not known yet."""
+        if lacking := self.lacking:
+            raise UsageError(
+                f"initial state: no sample of an encoder of the joint {lacking[0]!r} found;"
+                " expected one first, or an initial state"
+            )
 
     def forget_silence(self, now: int) -> None:
         """Bound the memory while samples arrive for long without any event.
@@ -424,95 +562,16 @@ class Observer:
         recording ends.
         """
         live = self.live
-        if live is not None and self._run.timeline is None:
+        if live is not None and self.timeline is None:
             live.keep_waiting(MOST_LIVE_SAMPLES)
         is_many = live is not None and live.samples.time.size > MOST_LIVE_SAMPLES
         if not is_many and self.robot is None:
             return
         self._follow()
-        goes_on = not self._is_inserting and self._run.go_on_from(now - self._history)
-        if goes_on and live is not None:
+        if self._is_inserting or self.timeline is None:
+            return
+        if self.timeline.go_on_from(now - self._history) and live is not None:
             live.forget_before(now - self._history)
-
-    @contextmanager
-    def without_new_samples(self) -> Iterator[None]:
-        """Within the block, estimates do not use samples that have just come.
-
-        So estimates may be asked for while an event is being applied (``turns``).
-        """
-        before, self._is_inserting = self._is_inserting, True
-        try:
-            yield
-        finally:
-            self._is_inserting = before
-
-    def _is_late(self, event: ImpactEvent) -> bool:
-        """Whether an event is of the run in use, and events after it have been applied."""
-        run, timeline = self._runs.in_use, self._run.timeline
-        return (
-            timeline is not None
-            and run is not None
-            and event.episode == run.episode
-            and event.epoch in {0, run.epoch}
-            and event.stamp <= timeline.newest.stamp
-        )
-
-    def _receive_or_reject(
-        self, event: ImpactEvent, waiting: _Late | None = None
-    ) -> tuple[Verdict, ...]:
-        try:
-            return self.receive(event) if waiting is None else self._take(event, waiting)
-        except ImpactObserverError as error:
-            return (_verdict(event, Ruling.REJECTED, str(error)),)
-
-    def _receive_waiting(
-        self, run: RunHistory, waiting: Mapping[EventKey, _Waiting]
-    ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
-        """Apply late events of a run together."""
-        timeline = run.timeline
-        assert timeline is not None, "they are late"
-        without_place = {key: why for key in waiting if (why := misplaced(key, timeline))}
-        for key, why in without_place.items():  # the past was shortened since
-            yield waiting[key].event, self._refuse(waiting[key].event, *why)
-        self._is_inserting = True
-        try:
-            made = yield from timeline.inserting(
-                [key for key in waiting if key not in without_place]
-            )
-        finally:
-            self._is_inserting = False
-        for key, error in made.failed.items():
-            run.numbers.discard(key.sequence)
-            yield (
-                waiting[key].event,
-                (_verdict(waiting[key].event, Ruling.REJECTED, str(error)),),
-            )
-        inserted = [(waiting[each.entry.key], each) for each in made.insertions]
-        if inserted:
-            owns, others = self._inserted(run, inserted)
-            for (each, _), own in zip(inserted, owns, strict=True):
-                yield each.event, (*own, *others)
-                others = ()
-
-    def _inserted(
-        self, run: RunHistory, received: Sequence[tuple[_Waiting, Insertion]]
-    ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
-        """Note events that were ``received`` and inserted; return their verdicts and others."""
-        for _, insertion in received:
-            if insertion.entry.belief.misfit:
-                self.remarks[Remark.MISFIT] += 1
-        owns, others = run.verdicts([(each.verdicts, made) for each, made in received])
-        if self.live is not None and run.timeline is not None:
-            self.live.forget_before(run.timeline.start.stamp)
-        if others:
-            self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
-        complete = []
-        for own, (event, insertion) in zip(owns, received, strict=True):
-            if event.notices:
-                self._notices = [*self._notices, *event.notices]
-            self._note_disorder(insertion, is_overtaken=event.is_overtaken)
-            complete.append(self._with_notices(own))
-        return complete, others
 
     def estimate(self, stamp: int) -> Estimate:
         """The state at ``stamp`` (ns) after all events received with stamps up to it.
@@ -521,8 +580,113 @@ class Observer:
             UsageError: ``stamp`` lies before the past that is kept, or no event has come, or the
                 forcing depends on time and its epoch is unknown.
         """
+        stamp = whole_stamp(stamp)
+        entry, prediction, s = self._at(stamp)
+        law, belief, n = self.law, entry.belief, self.system.n
+        x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
+        if root is None and law.has_covariance:  # the root after a sample is found on request
+            root = prediction.root(0.0)
+        held, silence = prediction.closed(s), prediction.silence(s)
+        closed, covariance = entry.closed if held is None else held, NO_COVARIANCE
+        if root is not None:
+            both, sizes = self._both_sides(entry, s, x, root, closed), self._mechanism.sizes(x, s)
+            covariance = law.uncertainty.published_covariance(both, x, sizes)
+        doubt = None if root is None else law.doubt(belief, root)
+        agrees = self._test.is_synchronized(entry.synchronization) if doubt is None else not doubt
+        if self.system.frame is not None:
+            x = self._from_frame(np.array([stamp]), x[None])[0]
+        return Estimate(
+            stamp=stamp,
+            law=law.name,
+            q=x[:n],
+            u=x[n:],
+            covariance=covariance,
+            closed=tuple([self._names[i] for i in closed]),
+            convergence=entry.synchronization.convergence,
+            synchronized=law.uses_events and not silence and agrees,
+            bound=-1.0 if belief.bound is None else belief.bound,
+            inconsistent=belief.inconsistent,
+            misfit=belief.misfit or silence,
+            clock_offset=belief.clock_offset,
+            parameters=belief.parameters,
+            last_sequence=entry.last[1],
+            last_event=entry.last[0],
+        )
+
+    def _at(self, stamp: int) -> tuple[Entry, Prediction, float]:
+        """The last entry up to ``stamp`` (ns), its prediction, and how many seconds before it is.
+
+        Raises:
+            UsageError: as ``estimate``.
+        """
         self._follow()
-        return self._run.estimate(whole_stamp(stamp))
+        timeline = self.timeline
+        if timeline is None or stamp < timeline.start:
+            past = "no event has come"
+            if timeline is not None:
+                past = f"the history starts at {text(timeline.start)} s"
+            raise UsageError(f"estimate at {text(stamp)} s: {past}")
+        require_epoch(self.system, self.epoch)
+        entry = timeline.entry_at(stamp)
+        return entry, timeline.prediction(entry), seconds_between(entry.since, stamp)
+
+    def _both_sides(
+        self, entry: Entry, s: float, x: Vector, root: Matrix, closed: Contacts
+    ) -> Matrix:
+        """``root``; near an uncertain impact with the errors of ``x`` on the other side."""
+        assert self.timeline is not None, "it has the entry"
+        belief, t = entry.belief, Elapsed(entry.since - self.timeline.zero) + s
+        near = Near(belief.clock_deviation, belief.onset, belief.x, t)
+        errors = self._sides.errors(near, x, root, s, closed)
+        return np.column_stack([root, *errors]) if errors else root
+
+    def estimates(self, stamps: Stamps, *, replicas: bool = False) -> Iterator[Estimates]:
+        """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
+
+        The states equal those of ``estimate`` in every bit. With ``replicas`` the states of all
+        replicas that move by themselves are given, too, and all other values, such as a
+        covariance, are those of the first of many stamps.
+
+        Raises:
+            UsageError: as ``estimate``.
+        """
+        stamps = whole_stamps(stamps)
+        while stamps.size:
+            first = self.estimate(int(stamps[0]))
+            assert self.timeline is not None, "there is an estimate"
+            entry, end = self.timeline.interval(first.stamp)
+            prediction, count = self.timeline.prediction(entry), 1
+            if prediction.is_plain or replicas:
+                count = stamps.size if end is None else int(np.searchsorted(stamps, end))
+            here, stamps = stamps[:count], stamps[count:]
+            if replicas:
+                every = self._replicas(prediction, entry, here)
+                yield Estimates(first, here, every[0], every)
+                continue
+            x = np.concatenate([first.q, first.u])[None]
+            if count > 1:
+                s = np.array([seconds_between(entry.since, at) for at in here[1:].tolist()])
+                x = np.concatenate([x, self._from_frame(here[1:], prediction.states(s))])
+            yield Estimates(first, here, x)
+
+    def _replicas(self, prediction: Prediction, entry: Entry, stamps: Stamps) -> Matrix:
+        """States of the replicas at ``stamps`` (ns) after an entry, shape (N, samples, 2n)."""
+        s = (stamps - entry.since) / NS_PER_S
+        every = prediction.replicas(s)
+        every[:, s <= 0] = entry.belief.replicas[: len(every), None]
+        return self._from_frame(stamps, every)
+
+    def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
+        """States (q, u) at ``stamps`` (ns) from states in the frame, (..., samples, 2n)."""
+        if self.system.frame is None:
+            return x
+        return self.system.from_frame(stamps - self.epoch, x)
+
+    def _to_frame(self, stamp: int, x: Matrix) -> Matrix:
+        """States in the frame of states (q, u), shape (N, 2n), at ``stamp`` (ns)."""
+        if self.system.frame is None:
+            return x
+        return self.system.to_frame(np.full(len(x), stamp - self.epoch), x)
 
     def impact(self, verdict: Verdict) -> ImpactEstimate | None:
         """The estimate of an impact that a ``verdict`` just received applies or inserts.
@@ -532,7 +696,37 @@ class Observer:
         Raises:
             ImpactLawError: the impact law has no solution.
         """
-        return self._run.impact(verdict)
+        timeline, names = self.timeline, self._names
+        contacts = verdict.contact, verdict.hit_contact
+        if timeline is None or not {*contacts} <= {*names}:
+            return None
+        reported, hit = map(names.index, contacts)
+        stamp, entry = verdict.stamp, None
+        if verdict.ruling is Ruling.INSERTED:
+            before, hits = timeline.entry_at(stamp), {hit}
+            held = timeline.prediction(before).closed(seconds_between(before.since, stamp))
+            closed = before.closed if held is None else held
+        elif (found := timeline.around(stamp, verdict.sequence, reported)) is not None:
+            before, entry = found
+            closed, kinds = before.closed, entry.key.switches
+            hits = {hit if i == reported else i for i, kind in kinds if kind is not Kind.OPEN}
+        else:
+            return None
+        if hit not in hits or (entry is None and hit in closed):  # a release
+            return None
+        change = ContactChange(
+            Elapsed(stamp - timeline.zero),
+            closed,
+            tuple(sorted(hits)),
+            closed,
+            stamp,
+            verdict.sequence,
+            seconds_between(before.since, stamp),
+        )
+        after, prediction = None if entry is None else entry.belief, timeline.prediction(before)
+        balance = self.law.impact_balance(change, before.belief, prediction, after)
+        own, stamp = balance.rows[change.hit.index(hit)], stamp - from_seconds(balance.early)
+        return ImpactEstimate(stamp, names[hit], verdict.ruling, verdict.sequence, *own.tolist())
 
     def silence(self, stamp: int) -> str:
         """The warning that predicted impacts have not come up to ``stamp`` (ns), or nothing.
@@ -540,8 +734,23 @@ class Observer:
         Raises:
             UsageError: as ``estimate``.
         """
-        self._follow()
-        return self._run.silence(stamp)
+        _, prediction, s = self._at(whole_stamp(stamp))
+        return prediction.silence(s)
+
+    def obstacle(self, stamp: int) -> str:
+        """Why the estimate at ``stamp`` (ns) is not synchronized; empty where it is.
+
+        Raises:
+            UsageError: as ``estimate``.
+        """
+        entry, prediction, s = self._at(whole_stamp(stamp))
+        if not self.law.uses_events:
+            return f"{self.law.name} uses no events"
+        if prediction.silence(s):
+            return "predicted impacts are not reported"
+        root = prediction.root(s)
+        doubt = None if root is None else self.law.doubt(entry.belief, root)
+        return self._test.obstacle(entry.synchronization) if doubt is None else doubt
 
     def last_deviations(self) -> Vector | None:
         """Deviations of (q, u) in the last flights, at most ``MOST_FLIGHTS``, shape (2n,).
@@ -554,30 +763,8 @@ class Observer:
         pairs = [(a.since, b.since) for a, b in pairwise(entries) if a.since < b.since]
         if not (pairs and self.law.has_covariance):
             return None
-        found = [np.diag(self._run.estimate((a + b) // 2).covariance) for a, b in pairs]
+        found = [np.diag(self.estimate((a + b) // 2).covariance) for a, b in pairs]
         return np.asarray(np.sqrt(np.median(found, axis=0)))
-
-    def obstacle(self, stamp: int) -> str:
-        """Why the estimate at ``stamp`` (ns) is not synchronized; empty where it is.
-
-        Raises:
-            UsageError: as ``estimate``.
-        """
-        self._follow()
-        return self._run.obstacle(whole_stamp(stamp))
-
-    def estimates(self, stamps: Stamps, *, replicas: bool = False) -> Iterator[Estimates]:
-        """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
-
-        The states equal those of ``estimate`` in every bit. With ``replicas`` the states of all
-        replicas that move by themselves are given, too, and all other values, such as a
-        covariance, are those of the first of many stamps.
-
-        Raises:
-            UsageError: as ``estimate``.
-        """
-        self._follow()
-        return self._run.estimates(whole_stamps(stamps), replicas=replicas)
 
     def run(self, times: Mapping[str, ArrayLike], seconds: ArrayLike) -> StateArrays:
         """The states after all impacts up to each of ``seconds``, of an observer without events.
@@ -609,9 +796,9 @@ class Observer:
     ) -> None:
         """Forget the past: from ``stamp`` (ns) on the replica moves from the given state.
 
-        The state, shape (n,) each, holds after the events received with this stamp; later ones act
-        on it. Before any event or epoch is received, it becomes the initial state. The
-        ``covariance`` has shape (2n, 2n), or is a list of its rows; None for the initial one.
+        The state, shape (n,) each, holds after all events with this stamp; later ones act on it.
+        Before any event or epoch is received, it becomes the initial state. The ``covariance`` has
+        shape (2n, 2n), or is a list of its rows; None for the initial one.
 
         Raises:
             UsageError: a state or covariance of the wrong size or one that is not finite.
@@ -620,15 +807,12 @@ class Observer:
         x = np.concatenate(self.system.checked_state(position, velocity))
         root = self._root if covariance is None else covariance_root(covariance, self.system.n)
         self._follow()
-        if (timeline := self._run.timeline) is None:
-            self._initial, self._root, self._starts = x, root, None
-            self.encoders = self._run.encoders = None
-        else:
-            stamp = max(whole_stamp(stamp), timeline.start.stamp)
-            now = timeline.entry_at(stamp)
-            replicas = spread(x, root, self.ensemble)
-            first = self._entry_of(replicas, root, stamp, now.closed, now.latest)
-            self._run.restart(first)
+        if self.timeline is None:
+            self._initial, self._root, self._starts, self.encoders = x, root, None, None
+            return
+        stamp = max(whole_stamp(stamp), self.timeline.start)
+        replicas = self._to_frame(stamp, spread(x, root, self.ensemble))
+        self.timeline.set_state(replicas, root, stamp)
 
     def start_from(self, replicas: Matrix) -> None:
         """Run ``replicas`` (q, u), shape (N, 2n), the estimate first, instead of the ensemble.
@@ -641,119 +825,27 @@ class Observer:
     @property
     def start(self) -> int | None:
         """The earliest stamp of an estimate, ns; None before an epoch or event is received."""
-        return None if self._run.timeline is None else self._run.timeline.start.stamp
-
-    @property
-    def epoch(self) -> int:
-        """Stamp of ``t = 0`` of the forcing, ns; 0 while unknown."""
-        return self._run.epoch
-
-    @property
-    def timeline(self) -> Timeline | None:
-        """The events that are kept, each with the belief after it; None before the first stamp."""
-        return self._run.timeline
+        return None if self.timeline is None else self.timeline.start
 
     @property
     def last_event(self) -> int:
         """Stamp of the latest event applied, ns; 0 before the first."""
-        return self._run.last_event
+        return 0 if self.timeline is None else self.timeline.last_event
 
     @property
     def missing(self) -> int:
         """How many sequence numbers are missing since the first received."""
-        return self._run.numbers.missing
-
-    def _first_entry(self, stamp: int) -> Entry:
-        encoders = self._run.encoders
-        initial = self._initial if encoders is None else encoders.state
-        replicas = self._starts
-        if replicas is None:
-            replicas = spread(initial, self._root, self.ensemble)
-        return self._entry_of(replicas, self._root, stamp)
-
-    def _entry_of(
-        self,
-        replicas: Matrix,
-        root: Matrix,
-        stamp: int,
-        closed: Contacts = (),
-        latest: LatestSequences | None = None,
-    ) -> Entry:
-        """Replicas, shape (N, 2n), at ``stamp`` (ns), before any other event."""
-        if self.system.frame is not None:
-            at = np.full(len(replicas), stamp - self.epoch)
-            replicas = self.system.to_frame(at, replicas)
-        belief = self.law.begin(replicas, root, closed)
-        return initial_entry(stamp, belief, self._test.initial(belief), closed, latest)
-
-    def _change_run(self, previous: SenderRun) -> None:
-        """Follow the new run of the sender after the ``previous`` one."""
-        run = self._runs.in_use
-        assert run is not None, "it has changed"
-        if previous.goes_on_as(run):
-            self._adopt(run.epoch)
-            return
-        self._begin_run(run.epoch or self.given_epoch)
-        is_epoch = run.epoch != previous.epoch and run.episode <= previous.episode
-        name = f"epoch {text(run.epoch)} s" if is_epoch else f"episode {run.episode}"
-        self._notices = [*self._notices, f"{name} is new: the observer is reset"]
-        self.remarks[Remark.EPOCH if is_epoch else Remark.EPISODE] += 1
-        self.restarts += 1
-
-    def _resolve_contacts(
-        self, event: ImpactEvent
-    ) -> tuple[tuple[Verdict, ...], tuple[tuple[int, Kind], ...]]:
-        """A verdict for each switch, and the switches to apply; OPEN last for each contact."""
-        if not event.switches:
-            return (_verdict(event, Ruling.REJECTED, "it names no contact"),), ()
-        verdicts: list[Verdict] = []
-        switches: list[tuple[int, Kind]] = []
-        for switch in event.switches:
-            verdict = Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
-            index = self._index.get(switch.contact)
-            if index is not None:
-                switches.append((index, switch.kind))
-            else:
-                self.remarks[Remark.UNKNOWN_CONTACT] += 1
-                reason = f"the model's contacts are {', '.join(self._index) or 'none'}"
-                verdict = verdict._replace(ruling=Ruling.UNKNOWN_CONTACT, reason=reason)
-            verdicts.append(verdict)
-        return tuple(verdicts), tuple(sorted(set(switches)) if len(switches) > 1 else switches)
-
-    def refuse(self, event: ImpactEvent, reason: str) -> tuple[Verdict, ...]:
-        """Reject an event of another run of the sender than the one in use."""
-        return self._refuse(event, Ruling.REJECTED, reason, Remark.UNCONFIRMED)
-
-    def _refuse(
-        self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark
-    ) -> tuple[Verdict, ...]:
-        self.remarks[remark] += 1
-        return self._with_notices((_verdict(event, ruling, reason),))
-
-    def _with_notices(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
-        """``verdicts``, the first of them with the pending notices about the stream."""
-        if not self._notices:
-            return verdicts
-        notices, self._notices = self._notices, []
-        first, *others = verdicts
-        return (with_reasons(first, notices), *others)
-
-    def _note_disorder(self, insertion: Insertion, *, is_overtaken: bool) -> None:
-        """Count irregularities in the order of an event that was inserted."""
-        entry, again = insertion.entry, insertion.again
-        if again or is_overtaken:
-            self.remarks[Remark.LATE] += 1
-            late = f"late: {again} event{'s' * (again != 1)} run again"
-            self._notices = [*self._notices, late]
-        if entry.overruled or insertion.overrules:
-            overruled = [*entry.overruled, *(each for _, each in insertion.overrules)]
-            superseded = [each.is_superseded for each in overruled]
-            self.remarks[Remark.SUPERSEDED] += sum(superseded)
-            self.remarks[Remark.DISORDER] += not all(superseded)
+        return self._numbers.missing
 
 
-def _order(event: ImpactEvent) -> tuple[int, int]:
-    return event.stamp, event.sequence
+def require_epoch(system: System, epoch: int) -> None:
+    """Raise UsageError where the forcing depends on time and its ``epoch`` (ns) is unknown, 0."""
+    if not epoch and system.depends_on_time:
+        raise UsageError(
+            f"epoch: 0 found, which is none, and the forcing of {system.name} depends on time;"
+            " expected its stamp of t = 0: --epoch S (epoch of nodes, ns), detect --pulses COLUMN,"
+            " or import --time-zero S with S above 0"
+        )
 
 
 def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:

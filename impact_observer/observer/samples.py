@@ -12,7 +12,7 @@ from impact_observer.observer.readings import DeclaredSensor, SampleOutcome
 from impact_observer.stamps import MAX_STAMP
 
 MOST_KEPT = 20_000
-"""Most samples kept for a rerun or until their use: those of 20 s at 1 kHz."""
+"""Most samples kept until their use: those of 20 s at 1 kHz."""
 MOST_VERDICTS = 100_000
 """Most verdicts kept until ``take``."""
 
@@ -51,8 +51,6 @@ class SampleStream:
         self.counts: list[Counter[str]] = [Counter() for _ in sensors]
         self.newest = [0] * len(sensors)
         self.verdicts: deque[MeasurementVerdict] = deque(maxlen=MOST_VERDICTS)
-        self._recent: deque[EventKey] = deque(maxlen=MOST_KEPT)
-        self._again: set[EventKey] = set()
 
     def add_samples(self, samples: Iterable[SensorSample]) -> None:
         """Receive samples; a sample that is no number is judged invalid at once."""
@@ -69,13 +67,9 @@ class SampleStream:
             if len(self.waiting) == MOST_KEPT:
                 self.counts[self.waiting[0].sensor]["dropped"] += 1
             self.waiting.append(key)
-            self._recent.append(key)
 
     def judge(self, key: EventKey, outcome: SampleOutcome) -> None:
-        """Note the first outcome of a sample; outcomes of a rerun are not noted."""
-        if key in self._again:
-            self._again.discard(key)
-            return
+        """Note the outcome of a sample."""
         kind = "accepted" if outcome.accepted else "unused"
         if outcome.reason.startswith("gate"):
             kind = "rejected"
@@ -87,17 +81,9 @@ class SampleStream:
         name = self.sensors[sensor].name
         self.verdicts.append(MeasurementVerdict(stamp, name, value, *outcome))
 
-    def again(self, since: int) -> None:
-        """Use the kept samples from ``since`` (ns) on in another run of the sender."""
-        used = {*self._recent} - {*self.waiting}
-        self.waiting = deque((e for e in self._recent if e.stamp >= since), maxlen=MOST_KEPT)
-        self._again = used & {*self.waiting}
-
     def clear(self) -> None:
         """Forget all samples, but keep their counts and verdicts."""
         self.waiting.clear()
-        self._recent.clear()
-        self._again.clear()
         self.newest = [0] * len(self.sensors)
 
     def take(self) -> tuple[MeasurementVerdict, ...]:

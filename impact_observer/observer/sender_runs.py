@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which run of the sender an observer follows: no single message decides (docs/nodes.md).
+"""Which run of the sender an observer follows: the newest.
 
 A run is what a sender publishes from one reset to the next: all events of one epoch and episode.
 """
@@ -8,126 +8,110 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from impact_observer.events import ImpactEvent
-from impact_observer.stamps import text
+from impact_observer.stamps import NS_PER_S, text
+
+BEGUN_AGAIN = 10 * NS_PER_S
+"""How long after the newest stamp an event of an older run is one of a sender begun again, ns."""
 
 
 class SenderRun(NamedTuple):
-    """A run of the sender.
+    """The run in use.
 
     Attributes:
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
         episode: episode of the sender.
+        latest: the newest stamp of its events, ns.
     """
 
     epoch: int
     episode: int
+    latest: int
 
-    def goes_on_as(self, other: "SenderRun") -> bool:
-        """Whether ``other`` is the same run, with its epoch known by now."""
-        return not self.epoch and self.episode == other.episode
+    @classmethod
+    def of(cls, event: ImpactEvent) -> "SenderRun":
+        """The run that an event begins."""
+        return cls(event.epoch, event.episode, event.stamp)
 
+    def has(self, event: ImpactEvent) -> bool:
+        """Whether an event is of this run; an epoch that is unknown so far may become known."""
+        is_epoch = event.epoch == self.epoch or not (event.epoch and self.epoch)
+        return is_epoch and event.episode == self.episode
 
-class Weighed(NamedTuple):
-    """The decision on an event.
+    def after(self, event: ImpactEvent) -> "SenderRun | None":
+        """The run in use after an event; None if the event is of an older run.
 
-    Attributes:
-        reason: why the event has no effect for now; empty for an event of the run in use.
-        previous: the run in use until now, if the event has brought another run into use.
-        released: the event before, if it is of that other run and takes effect now.
-    """
+        A run is newer by a later epoch, or by a higher episode with the same epoch.
+        """
+        own = (event.epoch or self.epoch, event.episode)
+        if self.has(event):
+            return SenderRun(*own, max(self.latest, event.stamp))
+        is_newer = own > (self.epoch, self.episode)
+        return SenderRun.of(event) if is_newer or event.stamp > self.latest + BEGUN_AGAIN else None
 
-    reason: str = ""
-    previous: SenderRun | None = None
-    released: tuple[ImpactEvent, ...] = ()
-
-
-_FOLLOWED = Weighed()
-
-
-class SenderRuns:
-    """The run in use: that of the first event, then any other of which two events come in a row.
-
-    Attributes:
-        in_use: the run in use; None before the first event.
-    """
-
-    def __init__(self, epoch: int = 0) -> None:
-        """Follow the run that the first event begins; 0 for an ``epoch`` (ns) not known yet."""
-        self.in_use: SenderRun | None = None
-        self._epoch = epoch
-        self._held: ImpactEvent | None = None
-
-    def weigh(self, event: ImpactEvent) -> Weighed:
-        """Take the next event received."""
-        if self.in_use is None:
-            self.in_use = SenderRun(self._epoch or event.epoch, event.episode)
-        previous, run = self.in_use, SenderRun(event.epoch or self.in_use.epoch, event.episode)
-        before, self._held = self._held, None if run == previous else event
-        if run == previous:
-            return _FOLLOWED
-        if (
-            before is None
-            or before == event
-            or (before.epoch or previous.epoch, before.episode) != run
-        ):
-            is_epoch = run.epoch != previous.epoch
-            name = f"epoch {text(run.epoch)} s" if is_epoch else f"episode {run.episode}"
-            return Weighed(f"{name} is not in use: it takes effect with two events in a row")
-        self.in_use, self._held = run, None
-        return Weighed(previous=previous, released=(before,))
+    @property
+    def name(self) -> str:
+        """The run in words."""
+        return f"episode {self.episode}" + (
+            f" of epoch {text(self.epoch)} s" if self.epoch else ""
+        )
 
 
-class Placed(NamedTuple):
-    """An event of a recording.
+class SequenceNumbers:
+    """Counts the events of a run by their numbers.
 
     Attributes:
-        event: the event.
-        period: number of the period in which its run is in use, from 0; -1 without effect.
-        since: stamp of the first event that takes effect together with this event, ns.
-        why: the decision on the event.
+        lowest: the lowest number; 0 before any.
+        highest: the highest number; 0 before any.
+        count: how many events with a number have come, each once.
     """
 
-    event: ImpactEvent
-    period: int
-    since: int
-    why: Weighed = _FOLLOWED
+    def __init__(self) -> None:
+        """Start with no number."""
+        self.lowest = self.highest = self.count = 0
+
+    def note(self, sequence: int) -> None:
+        """Count the event of a number, 0 for none."""
+        if sequence:
+            self.lowest, self.highest = (
+                min(self.lowest or sequence, sequence),
+                max(self.highest, sequence),
+            )
+            self.count += 1
+
+    @property
+    def missing(self) -> int:
+        """How many numbers between the lowest and the highest have not come."""
+        return max(self.highest - self.lowest + 1 - self.count, 0) if self.count else 0
 
 
-def placed(events: Iterable[ImpactEvent], epoch: int = 0) -> list[Placed]:
-    """The events of a recording with the periods in which their runs are in use.
+def runs_of(events: Iterable[ImpactEvent]) -> list[list[ImpactEvent]]:
+    """The events of each run in use, one run after the other; without events of older runs.
 
     Args:
-        events: in order of reception.
-        epoch: given epoch of the observer, ns; 0 to take the epoch from the events.
+        events: in order of reception, or as ``in_order`` has them.
     """
-    runs, period, places = SenderRuns(epoch), 0, list[Placed]()
-    held = list[int]()
-    for event in events:
-        weighed = runs.weigh(event)
-        if weighed.reason:
-            held.append(len(places))
-            places.append(Placed(event, -1, event.stamp, weighed))
-            continue
-        if weighed.previous is not None:
-            period += 1
-        for at in held:
-            if places[at].event in weighed.released:
-                places[at] = Placed(places[at].event, period, places[at].event.stamp)
-        held.clear()
-        since = min(each.stamp for each in (*weighed.released, event))
-        places.append(Placed(event, period, since))
-    return places
+    runs = list[list[ImpactEvent]]()
+    for event, place, is_used in _placed(events):
+        if place == len(runs):
+            runs.append([])
+        if is_used:
+            runs[place].append(event)
+    return runs
 
 
 def in_order(events: Iterable[ImpactEvent]) -> list[ImpactEvent]:
-    """Sort a recording by run, stamp and sequence, without a change of its effect.
+    """Sort a recording by run in use, stamp and sequence; ``events`` are in order of reception."""
+    ordered = sorted(_placed(events), key=lambda each: (each[1], each[0].stamp, each[0].sequence))
+    return [event for event, *_ in ordered]
 
-    An event without effect stays behind its predecessor. ``events`` are in order of reception.
-    """
-    keys, last = list[tuple[int, int, int, int]](), (0, 0, 0)
-    every = placed(events)
-    for i, each in enumerate(every):
-        if each.period >= 0:
-            last = (each.period, each.event.stamp, each.event.sequence)
-        keys.append((*last, i))
-    return [every[i].event for *_, i in sorted(keys)]
+
+def _placed(events: Iterable[ImpactEvent]) -> list[tuple[ImpactEvent, int, bool]]:
+    """Each event, the number of the run in use when it came, and whether it is of that run."""
+    run, number, found = None, -1, list[tuple[ImpactEvent, int, bool]]()
+    for event in events:
+        after = SenderRun.of(event) if run is None else run.after(event)
+        if after is not None:
+            number += run is None or not run.has(event)
+            run = after
+        found.append((event, number, after is not None))
+    return found

@@ -1,48 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The observer's past: every event in its place, and the belief after each.
+"""The observer's past: every event and sample in its place, and the belief after each.
 
 A late event is put in its place, and the events after it are applied again (``docs/nodes.md``).
 """
 
-from bisect import bisect_right
-from collections import defaultdict
-from collections.abc import Callable, Container, Generator, Iterable, Mapping, Sequence
-from contextlib import suppress
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, TypeAlias, TypeVar
+from itertools import groupby
+from operator import attrgetter
+from typing import TypeVar
 
-from impact_observer.errors import ImpactObserverError
-from impact_observer.events import Contacts, Kind
+from impact_observer.errors import DynamicsError, ImpactLawError, ImpactObserverError
+from impact_observer.events import Contacts
 from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.event_order import (
+    AFTER_ALL,
+    BEFORE_ALL,
     EventKey,
-    LatestSequences,
-    OverruledSwitch,
-    Superseding,
-    superseding,
+    Switches,
+    acting,
 )
-from impact_observer.observer.readings import SampleOutcome
-from impact_observer.observer.synchronization import Synchronization
+from impact_observer.observer.laws.law import Law
+from impact_observer.observer.readings import DeclaredSensor, Reading, SampleOutcome
+from impact_observer.observer.synchronization import Synchronization, SynchronizationTest
+from impact_observer.stamps import Elapsed, seconds_between, text
+from impact_observer.states import Matrix
+from impact_observer.turns import give_turn
 
-_BEFORE_EVENTS = -1
-"""Sequence of the entry before any event, so that it comes first at its stamp."""
+MOST_EVENTS = 5000
+"""Events of the history that are kept, whatever its length."""
+MOST_MEASURED = 20_000
+"""Samples of sensors that are kept beside the events."""
 
 
 @dataclass(slots=True, eq=False)
 class Entry:
-    """The posterior of one event.
+    """What is believed after one event or sample.
 
     Attributes:
-        key: the event.
-        since: stamp at which ``belief`` holds, ns; that of ``key``, or of an earlier event if
+        key: the event or sample; at the start of the past, a key without either.
+        since: stamp at which ``belief`` holds, ns; that of ``key``, or of an earlier one if
             ``key`` has no effect.
-        belief: belief just after the event.
-        synchronization: synchronization of the replicas just after the event.
-        closed: indices of the contacts with ``chi = 1`` after the event, ascending.
-        latest: sequence numbers of the events that have switched each contact.
-        overruled: switches of the event whose effect another event changes.
+        belief: belief just after it.
+        synchronization: synchronization of the replicas just after it.
+        closed: indices of the contacts with ``chi = 1`` after it, ascending.
         last: stamp (ns) and sequence of the last event so far; zeros before the first.
         impact: stamp of the last impact so far, ns; 0 before the first.
+        replaced: contacts of the event whose IMPACT a CLOSE of the same stamp replaces.
+        error: why the event cannot be applied, so that it has no effect; None if it is applied.
         outcome: outcome of a sample; None for an event.
         rejected: by index of a sensor, how many of its latest samples in a row were rejected.
         prediction: prediction from ``since`` on; None until the first request.
@@ -53,10 +61,10 @@ class Entry:
     belief: Belief = field(repr=False)
     synchronization: Synchronization
     closed: Contacts = ()
-    latest: LatestSequences = field(default_factory=dict)
-    overruled: tuple[OverruledSwitch, ...] = ()
     last: tuple[int, int] = (0, 0)
     impact: int = 0
+    replaced: Contacts = ()
+    error: ImpactObserverError | None = None
     outcome: SampleOutcome | None = None
     rejected: Mapping[int, int] = field(default_factory=dict)
     prediction: Prediction | None = field(default=None, repr=False)
@@ -65,55 +73,6 @@ class Entry:
     def is_event(self) -> bool:
         """Whether the entry is of an event, and not of a sample or of the start."""
         return bool(self.key.switches)
-
-    @property
-    def begins(self) -> int:
-        """From when on estimates use it, ns: stamps of a clock that has stepped may be early."""
-        return max(self.key.stamp, self.since)
-
-    @property
-    def event(self) -> tuple[int, int]:
-        """Stamp and sequence of its event."""
-        return self.key.stamp, self.key.sequence
-
-
-Update: TypeAlias = Callable[[Entry, EventKey, Superseding], Entry]
-"""The entry of an event, from the entry before it, the event and what supersedes it."""
-
-
-class Insertion(NamedTuple):
-    """The changes by the insertion of an event.
-
-    Attributes:
-        entry: entry of the event.
-        overrules: switches of other events whose effect the event changes, with those events.
-        again: how many later events, samples not counted, were applied again.
-        entries: consecutive entries that contain ``entry`` and all later entries.
-        place: place of ``entry`` among ``entries``.
-    """
-
-    entry: Entry
-    overrules: tuple[tuple[EventKey, OverruledSwitch], ...] = ()
-    again: int = 0
-    entries: Sequence[Entry] = ()
-    place: int = 0
-
-    @property
-    def later(self) -> Sequence[Entry]:
-        """The entries of the events after it."""
-        return self.entries[self.place + 1 :]
-
-
-class Insertions(NamedTuple):
-    """The changes by the insertion of several events.
-
-    Attributes:
-        insertions: insertions of the events applied, in order.
-        failed: errors of the events that could not be applied.
-    """
-
-    insertions: tuple[Insertion, ...]
-    failed: Mapping[EventKey, ImpactObserverError]
 
 
 _Value = TypeVar("_Value")
@@ -129,259 +88,315 @@ def outcome(steps: Generator[object, None, _Value]) -> _Value:
         return value
 
 
-def initial_entry(
-    start: int,
-    belief: Belief,
-    synchronization: Synchronization,
-    closed: Contacts = (),
-    latest: LatestSequences | None = None,
-) -> Entry:
-    """The entry at stamp ``start`` (ns), before any event of that stamp."""
-    key = EventKey(start, _BEFORE_EVENTS, ())
-    return Entry(key, start, belief, synchronization, closed, latest or {})
-
-
 class Timeline:
-    """Events in order with the beliefs after them, back to a bounded past.
+    """Events and samples in order with the beliefs after them, back to a bounded past.
 
     Attributes:
-        entries: the entry at the start of the past, then one entry an event.
+        entries: the entry at the start of the past, then one entry an event or sample.
+        zero: stamp of ``t = 0`` of the forcing, ns; the start where it does not matter.
     """
 
-    def __init__(self, first: Entry, update: Update) -> None:
-        """Start with an ``initial_entry``; ``update`` makes those of events and samples."""
-        self.entries = [first]
-        self._update = update
+    def __init__(
+        self,
+        law: Law,
+        test: SynchronizationTest,
+        history: int,
+        sensors: Sequence[DeclaredSensor] = (),
+    ) -> None:
+        """Prepare a timeline, which is to ``begin``.
+
+        Args:
+            law: the law that corrects and predicts the belief.
+            test: the test of the replicas' synchronization.
+            history: how late an event may be and still be applied, ns.
+            sensors: beside the impacts.
+        """
+        self.entries = list[Entry]()
+        self.zero = 0
+        self._law, self._test, self._history = law, test, history
+        self._sensors = sensors
+
+    def begin(
+        self, replicas: Matrix, root: Matrix, stamp: int, zero: int, keys: Iterable[EventKey] = ()
+    ) -> None:
+        """Begin with ``replicas`` (q, u), shape (N, 2n), before all events of a ``stamp`` (ns).
+
+        The events and samples so far, and other ``keys``, are applied after it.
+
+        Args:
+            replicas: the estimate first.
+            root: of the estimate's covariance, shape (2n, 2n).
+            stamp: of the start, ns.
+            zero: as the attribute.
+            keys: more events and samples, in any order.
+        """
+        known = sorted([*(entry.key for entry in self.entries[1:]), *keys])
+        self.zero = zero
+        belief = self._law.begin(replicas, root, ())
+        first = Entry(EventKey(stamp, BEFORE_ALL), stamp, belief, self._test.initial(belief))
+        self.entries = [first, *self._applied(first, [k for k in known if k > first.key])]
+
+    def set_state(self, replicas: Matrix, root: Matrix, stamp: int) -> None:
+        """Forget the past: ``replicas`` are the state after all events of a ``stamp`` (ns).
+
+        Raises:
+            ImpactLawError: contacts are closed and their law has no solution for that state.
+        """
+        now = self.entry_at(stamp)
+        belief = self._law.begin(replicas, root, now.closed)
+        test = self._test.initial(belief)
+        first = Entry(EventKey(stamp, AFTER_ALL), stamp, belief, test, now.closed)
+        keys = [entry.key for entry in self.entries if entry.key.stamp > stamp]
+        self.entries = [first, *self._applied(first, keys)]
+
+    def go_on_from(self, stamp: int) -> bool:
+        """Forget the past before a ``stamp`` (ns) if nothing is later; returns whether so."""
+        last = self.entries[-1]
+        if last.key.stamp >= stamp:
+            return False
+        belief = self.prediction(last).belief(seconds_between(last.since, stamp))
+        key = EventKey(stamp, AFTER_ALL)
+        self.entries = [replace(last, key=key, since=stamp, belief=belief, prediction=None)]
+        return True
 
     @property
-    def start(self) -> EventKey:
-        """The earliest instant at which an estimate can still be made."""
-        return self.entries[0].key
+    def start(self) -> int:
+        """The earliest stamp at which an estimate can still be made, ns."""
+        return self.entries[0].key.stamp
 
     @property
-    def newest(self) -> EventKey:
-        """The latest event."""
-        return self.entries[-1].key
+    def newest(self) -> int:
+        """The latest stamp, ns."""
+        return self.entries[-1].key.stamp
+
+    @property
+    def last_event(self) -> int:
+        """Stamp of the latest event applied, ns; 0 before the first."""
+        return self.entries[-1].last[0]
 
     @property
     def is_complete(self) -> bool:
         """Whether nothing has been forgotten yet."""
-        return self.start.sequence == _BEFORE_EVENTS
+        return self.entries[0].key.sequence == BEFORE_ALL
 
-    def insert(self, key: EventKey) -> Insertion:
-        """Put an event that the timeline ``accepts`` in its place, and apply later events again.
-
-        Raises:
-            ImpactObserverError: the event or a later one cannot be applied; nothing changes.
-        """
-        if self.newest.stamp < key.stamp:  # the usual case
-            entry = self._update(self.entries[-1], key, ())
-            self.entries.append(entry)
-            return Insertion(entry)
-        made = outcome(self.inserting([key]))
-        for error in made.failed.values():
-            raise error
-        return made.insertions[0]
-
-    def inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Insertions]:
-        """Put events that the timeline ``accepts`` in place, and apply later events again, once.
-
-        Yields after each event that is applied. The entries change at the end only, and the caller
-        must not change the timeline until then. A new event that cannot be applied is left out. If
-        an old event cannot be applied again, the nearest new event before it is left out, or else
-        the first new event after it.
-        """
-        new, failed = {*keys}, dict[EventKey, ImpactObserverError]()
-        if not new:
-            return Insertions((), failed)
-        same, changed = self._changed_by(new)
-        events = sorted([*(entry.key for entry in self.entries[same:]), *new])
-        entries = self.entries[same:changed]
-        while len(entries) < len(events):
-            i = len(entries)
-            previous = entries[-1] if entries else self.entries[same - 1]
-            try:
-                entries.append(self._update(previous, events[i], superseding(i, events)))
-            except ImpactObserverError as error:
-                nearest = (*range(i, -1, -1), *range(i + 1, len(events)))
-                culprit = next(k for k in nearest if events[k] in new)
-                failed[events[culprit]] = error
-                new.discard(events[culprit])
-                del entries[_superseded_by(events[culprit], entries[:culprit]) :]
-                del events[culprit]
-            yield
-        if not new:
-            return Insertions((), failed)
-        self.entries[same:] = entries
-        return Insertions(_insertions(new, entries), failed)
-
-    def _changed_by(self, new: Iterable[EventKey]) -> tuple[int, int]:
-        """The places of the first entry at the earliest of the stamps, and of the first to change.
-
-        An event changes those after it, and those of its stamp that it supersedes.
-        """
-        earliest = min(new)
-        first = changed = self._place(earliest)
-        closing: dict[int, int] = {}
-        for key in new:
-            for contact, kind in key.switches if key.stamp == earliest.stamp else ():
-                if kind is Kind.CLOSE:
-                    closing[contact] = min(closing.get(contact, key.sequence), key.sequence)
-        while first > 1 and self.entries[first - 1].key.stamp == earliest.stamp:
-            first -= 1
-            if closing and _is_superseded(self.entries[first], closing):
-                changed = first
-        return first, changed
-
-    def go_on_from(self, stamp: int, belief: Belief) -> None:
-        """Forget all up to the last event, and hold ``belief`` at a later ``stamp`` (ns)."""
-        last = replace(self.entries[-1], since=stamp, belief=belief, prediction=None)
-        self.entries = [last]
-
-    def rerun(self, stamp: int) -> None:
-        """Apply the events after ``stamp`` (ns) again with changed samples of forces.
-
-        An event that cannot be applied any more is left out.
-        """
-        first = max(self._after(stamp), 1)
-        previous = self.entries[first - 1]
-        if previous.prediction is not None and not previous.prediction.follows_samples:
-            previous.prediction = None
-        events = [each.key for each in self.entries[first:]]
-        entries = list[Entry]()
-        for i, event in enumerate(events):
-            with suppress(ImpactObserverError):
-                previous = self._update(previous, event, superseding(i, events))
-                entries.append(previous)
-        self.entries[first:] = entries
-
-    def _after(self, stamp: int) -> int:
-        """The place of the first entry after ``stamp`` (ns)."""
-        entries = self.entries
-        if entries[-1].key.stamp <= stamp:  # as nearly always
-            return len(entries)
-        return bisect_right(entries, stamp, key=_stamp)
-
-    def _applied(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
-        entries = [previous]
-        for i, event in enumerate(events):
-            entries.append(self._update(entries[-1], event, superseding(i, events)))
-        return entries[1:]
+    @property
+    def earliest(self) -> int:
+        """The earliest stamp of an event that is still applied, ns."""
+        return max(self.start, self.newest - self._history)
 
     def accepts(self, key: EventKey) -> bool:
-        """Whether the past still reaches back to an event.
-
-        Once the past has been shortened, an event at its very start is too late as well: an event
-        that it may supersede cannot be undone any more.
-        """
-        start = self.start
-        return key.stamp > start.stamp or (key.stamp == start.stamp and self.is_complete)
+        """Whether an event or sample is not too late."""
+        return key > self.entries[0].key and key.stamp >= self.earliest
 
     def __contains__(self, key: EventKey) -> bool:
         """Whether the timeline has the same event, with the same switches."""
-        if key.stamp > self.newest.stamp:  # as nearly always
-            return False
-        at = self._place(key)
-        return at > 0 and self.entries[at - 1].key == key
+        at = bisect_left(self.entries, key, key=attrgetter("key"))
+        return at < len(self.entries) and self.entries[at].key == key
 
-    def has_sample(self, stamp: int, sequence: int) -> bool:
+    def has_sample(self, key: EventKey) -> bool:
         """Whether the timeline has a sample of the same sensor at the same stamp."""
-        at = bisect_right(self.entries, (stamp, sequence), key=lambda entry: entry.event)
-        return self.entries[at - 1].event == (stamp, sequence)
+        at = bisect_right(self.entries, key[:2], key=_event) - 1
+        return at >= 0 and _event(self.entries[at]) == key[:2]
 
-    def _place(self, key: EventKey) -> int:
-        return bisect_right(self.entries, key, key=lambda entry: entry.key)
+    def inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Sequence[Entry]]:
+        """Put events and samples that it ``accepts`` in place; apply later ones again, once.
+
+        Yields after the events and samples of each stamp. The entries change at the end only, and
+        the caller must not change the timeline until then.
+
+        Returns:
+            The entries from the first stamp of ``keys`` on.
+        """
+        new = [*keys]
+        first = bisect_left(self.entries, min(new).stamp, lo=1, key=_stamp)
+        made = [self.entries[first - 1]]
+        every = sorted([*(entry.key for entry in self.entries[first:]), *new])
+        for _, of_stamp in groupby(every, key=attrgetter("stamp")):
+            give_turn()
+            made += self._after(made[-1], [*of_stamp])
+            yield
+        del made[0]
+        self.entries[first:] = made
+        self._forget()
+        return made
+
+    def rerun(self, stamp: int) -> None:
+        """Apply the events after ``stamp`` (ns) again with changed samples of forces."""
+        first = max(bisect_right(self.entries, stamp, key=_stamp), 1)
+        previous = self.entries[first - 1]
+        if previous.prediction is not None and not previous.prediction.follows_samples:
+            previous.prediction = None
+        keys = [each.key for each in self.entries[first:]]
+        self.entries[first:] = self._applied(previous, keys)
+
+    def _applied(self, previous: Entry, keys: Iterable[EventKey]) -> list[Entry]:
+        """The entries of ``keys``, in order, after a ``previous`` entry."""
+        entries = [previous]
+        for _, of_stamp in groupby(keys, key=attrgetter("stamp")):
+            entries += self._after(entries[-1], [*of_stamp])
+        return entries[1:]
+
+    def _forget(self) -> None:
+        """Drop the entries that are older than the history, or too many, but the last of them."""
+        entries, until = self.entries, self.newest - self._history
+        most = MOST_EVENTS + MOST_MEASURED if self._sensors else MOST_EVENTS
+        if (old := max(len(entries) - most, 0)) > 0:
+            until = max(until, _stamp(entries[old]))
+        while old + 1 < len(entries) and _stamp(entries[old + 1]) <= until:
+            old += 1  # rarely more than one
+        if old:
+            oldest = entries[old]
+            entries[: old + 1] = [replace(oldest, key=EventKey(oldest.key.stamp, AFTER_ALL))]
 
     def entry_at(self, stamp: int) -> Entry:
         """The last entry at or before ``stamp`` (ns)."""
         return self.interval(stamp)[0]
+
+    def interval(self, stamp: int) -> tuple[Entry, int | None]:
+        """The ``entry_at`` a stamp (ns), and the stamp of the next entry, None for the last."""
+        after = max(bisect_right(self.entries, stamp, key=_stamp), 1)
+        is_last = after == len(self.entries)
+        return self.entries[after - 1], None if is_last else self.entries[after].key.stamp
 
     def around(self, stamp: int, sequence: int, contact: int) -> tuple[Entry, Entry] | None:
         """The entry before the event of a contact, and that of the event; None if not known.
 
         The event has this ``stamp`` (ns) and ``sequence``.
         """
-        at = bisect_right(self.entries, (stamp, sequence), key=lambda entry: entry.event)
-        while at > 1 and (entry := self.entries[at - 1]).event == (stamp, sequence):
+        at = bisect_right(self.entries, (stamp, sequence), key=_event)
+        while at > 1 and _event(entry := self.entries[at - 1]) == (stamp, sequence):
             at -= 1
             if any(i == contact for i, _ in entry.key.switches):
                 return self.entries[at - 1], entry
         return None
 
-    def interval(self, stamp: int) -> tuple[Entry, int | None]:
-        """The ``entry_at`` a stamp (ns), and the stamp of the next entry, None for the last."""
-        entry = self.entries[-1]
-        if entry.begins <= stamp:
-            return entry, None
-        after = max(bisect_right(self.entries, stamp, key=_begins), 1)
-        following = self.entries[after].begins if after < len(self.entries) else None
-        return self.entries[after - 1], following
+    def prediction(self, entry: Entry) -> Prediction:
+        """The prediction from the belief of ``entry``, made at the first call."""
+        if entry.prediction is None:
+            start = Elapsed(entry.since - self.zero)
+            entry.prediction = self._law.predict(start, entry.belief, entry.closed)
+        return entry.prediction
 
-    def restart(self, first: Entry, *, after: bool = False) -> None:
-        """Start with another ``initial_entry``, and apply the events after it again.
+    def _after(self, previous: Entry, keys: Sequence[EventKey]) -> list[Entry]:
+        """The entries of the events, then of the samples, of one stamp after a ``previous`` one.
 
-        With ``after`` the state of ``first`` holds after all events of its stamp.
+        An event that cannot be applied has no effect, and its entry the error.
         """
-        stamp = first.key.stamp
-        keys = [entry.key for entry in self.entries[1:]]
-        events = [each for each in keys if each.stamp > stamp or (not after and each > first.key)]
-        self.entries = [first, *self._applied(first, events)]
+        entries, events = [previous], [each for each in keys if not each.sample]
+        for event, switches in zip(events, acting(events), strict=True):
+            before = entries[-1]
+            try:
+                entry = self._after_event(before, event, switches)
+            except ImpactObserverError as error:
+                entry = replace(before, key=event, error=error, replaced=(), outcome=None)
+            entries.append(entry)
+        if samples := keys[len(events) :]:
+            entries += self._after_samples(entries[-1], samples)
+        return entries[1:]
 
-    def forget_before(self, stamp: int, most: int) -> bool:
-        """Drop the entries before ``stamp`` (ns) but the last of them; whether any was dropped.
+    def _after_event(self, previous: Entry, event: EventKey, switches: Switches) -> Entry:
+        """The entry of an event of which these ``switches`` act.
 
-        Of more entries than ``most``, the oldest are dropped, too.
+        Raises:
+            ImpactLawError: the impact law has no solution.
+            DynamicsError: the loads of closed contacts cannot be found, or the estimate is not
+                finite.
         """
-        entries = self.entries
-        old = max(len(entries) - most, 0)
-        while old + 1 < len(entries) and entries[old + 1].key.stamp <= stamp:
-            old += 1  # rarely more than one
-        del entries[:old]
-        return old > 0
+        stamp, last = event.stamp, (event.stamp, event.sequence)
+        replaced = tuple(sorted({i for i, _ in event.switches} - {i for i, _ in switches}))
+        if not switches:
+            return replace(
+                previous, key=event, last=last, replaced=replaced, error=None, outcome=None
+            )
+        s = seconds_between(previous.since, stamp)
+        change = ContactChange.of(
+            Elapsed(stamp - self.zero),
+            previous.closed,
+            switches,
+            stamp=stamp,
+            sequence=event.sequence,
+            flown=s,
+        )
+        prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
+        try:
+            posterior = self._law.correct(change, prior)
+        except ImpactLawError as error:
+            raise ImpactLawError(f"at {text(stamp)} s: {error}") from None
+        result = self._test.after_event(previous.synchronization, change, prior.x, posterior)
+        if not math.isfinite(result.energy):
+            raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
+        return Entry(
+            event,
+            stamp,
+            posterior,
+            result,
+            change.closed,
+            last,
+            stamp if change.hit else previous.impact,
+            replaced,
+            rejected=previous.rejected,
+        )
+
+    def _after_samples(self, previous: Entry, keys: Sequence[EventKey]) -> list[Entry]:
+        """The entries of samples of one stamp; all have the posterior after the last of them.
+
+        Samples that are not used leave the motion unchanged.
+        """
+        stamp, readings = keys[0].stamp, [self._reading(previous, each) for each in keys]
+        outcomes = {r.sensor.index: _blanked(r) for r in readings if r.is_blanked}
+        base = replace(previous, replaced=(), error=None)
+        if used := [each for each in readings if not each.is_blanked]:
+            s, prediction = seconds_between(previous.since, stamp), self.prediction(previous)
+            try:
+                belief, made = self._law.measure(used, previous.belief, prediction, s)
+                if belief is not None and not math.isfinite(belief.x.dot(belief.x)):
+                    raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
+            except ImpactObserverError as error:
+                belief, made = None, [SampleOutcome(0.0, -1.0, False, str(error)) for _ in used]
+            outcomes |= {r.sensor.index: found for r, found in zip(used, made, strict=True)}
+            base = replace(base, rejected=_rejected_after(previous, outcomes))
+            if belief is not None:
+                base = replace(base, since=stamp, belief=belief, prediction=None)
+        return [replace(base, key=each, outcome=outcomes[each.sensor]) for each in keys]
+
+    def _reading(self, previous: Entry, key: EventKey) -> Reading:
+        """A sample, after the ``previous`` entry."""
+        (value,), impact, ns = key.sample, previous.impact, key.stamp - self.zero
+        return Reading(
+            self._sensors[key.sensor],
+            value,
+            Elapsed(ns),
+            ns,
+            seconds_between(impact, key.stamp) if impact else math.inf,
+            previous.closed,
+            previous.rejected.get(key.sensor, 0),
+        )
 
 
 def _stamp(entry: Entry) -> int:
     return entry.key.stamp
 
 
-def _begins(entry: Entry) -> int:
-    return entry.begins
+def _event(entry: Entry) -> tuple[int, int]:
+    """Stamp and sequence."""
+    return entry.key[:2]
 
 
-def _is_superseded(entry: Entry, closing: Mapping[int, int]) -> bool:
-    """Whether events of its stamp that close contacts change what supersedes an event.
+def _blanked(reading: Reading) -> SampleOutcome:
+    ago, blanking = reading.since_impact, reading.sensor.measurement.blanking
+    reason = f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
+    return SampleOutcome(0.0, -1.0, False, reason)
 
-    ``closing`` has their lowest number by contact.
+
+def _rejected_after(previous: Entry, outcomes: Mapping[int, SampleOutcome]) -> Mapping[int, int]:
+    """How many samples in a row of each sensor were rejected, after ``outcomes`` by sensor.
+
+    A sample without an innovation in deviations says nothing.
     """
-    by = {each.contact: each.by for each in entry.overruled if each.is_superseded}
-    hits = (contact for contact, kind in entry.key.switches if kind is Kind.IMPACT)
-    return any(c in closing and (c not in by or closing[c] < by[c]) for c in hits)
-
-
-def _superseded_by(event: EventKey, before: Sequence[Entry]) -> int:
-    """Place of the first of the entries ``before`` an event that it supersedes, or their end."""
-    changed = first = len(before)
-    while first > 0 and before[first - 1].key.stamp == event.stamp:
-        first -= 1
-        if any(o.is_superseded and o.by == event.sequence for o in before[first].overruled):
-            changed = first
-    return changed
-
-
-def _insertions(new: Container[EventKey], entries: Sequence[Entry]) -> tuple[Insertion, ...]:
-    """Returns the insertion of each event of ``new`` among the ``entries``."""
-    overrules = defaultdict[tuple[int, int], list[tuple[EventKey, OverruledSwitch]]](list)
-    for entry in entries:
-        for each in entry.overruled:
-            overrules[each.by, 0 if each.by else entry.key.stamp].append((entry.key, each))
-    insertions, again = list[Insertion](), 0
-    for place in reversed(range(len(entries))):
-        entry = entries[place]
-        if entry.key not in new:
-            again += entry.is_event
-            continue
-        number = entry.key.sequence
-        changes = overrules.get((number, 0 if number else entry.key.stamp), ())
-        others = tuple(each for each in changes if each[0] != entry.key)
-        insertions.append(Insertion(entry, others, again, entries, place))
-    return tuple(reversed(insertions))
+    rejected = dict(previous.rejected)
+    for sensor, each in outcomes.items():
+        if each.accepted:
+            rejected.pop(sensor, None)
+        elif each.normalized >= 0:
+            rejected[sensor] = rejected.get(sensor, 0) + 1
+    return rejected

@@ -261,8 +261,7 @@ class ObserverNode(BaseNode):
         self.take_clock()
         for each in self._impacts.arrived(MOST_WAITING):
             self.intake.take(each)
-        with self.observer.without_new_samples():
-            self._publish_due()
+        self._publish_due()
         self._is_turn = False
         end = time.monotonic()
         self._next_turn = end + max(_TURN, end - begin)  # at least half of the time is for events

@@ -226,7 +226,7 @@ def test_event_of_an_old_episode_is_rejected() -> None:
     verdict = watcher.receive(event(1.5, "stop", sequence=9, episode=2))[0]
     assert (verdict.ruling, verdict.reason) == (
         Ruling.REJECTED,
-        "episode 2 is not in use: it takes effect with two events in a row",
+        "episode 2 of epoch 5.000000000 s is older than episode 3 of epoch 5.000000000 s",
     )
     assert state(watcher, 2.0) == before
 
@@ -241,14 +241,11 @@ def test_new_episode_or_epoch_restarts_the_observer(change: dict[str, int]) -> N
     used.receive(event(1.0, "stop", sequence=1))
     used.receive(event(4.0, "stop", sequence=2))
     again = event(5.0, "stop", sequence=1, **change)
-    assert used.receive(again)[0].ruling is Ruling.REJECTED
-    assert used.restarts == 0
     second = event(5.5, "stop", sequence=2, **change)
-    rulings = [(v.sequence, v.ruling, v.revises) for v in used.receive(second)]
-    assert rulings == [(2, Ruling.APPLIED, False), (1, Ruling.APPLIED, True)]
-    fresh.receive(again)
-    fresh.receive(second)
-    assert used.restarts == 1
+    for watcher in (used, fresh):
+        assert watcher.receive(again)[0].ruling is Ruling.APPLIED
+        watcher.receive(second)
+    assert (used.restarts, fresh.restarts) == (1, 0)
     assert used.epoch == used.start == EPOCH + 9
     assert used.missing == 0
     for seconds in (3.0, 5.2, 6.0):

@@ -19,7 +19,6 @@ from systems import (
     system,
 )
 
-from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
 from impact_observer.observer import ReplicaLaw
@@ -151,18 +150,6 @@ def test_state_set_from_outside_leaves_contacts_closed(law: str) -> None:
         assert PRESSED.gap(now.q)[0] == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(next_one.q, now.q, atol=1e-8)
     np.testing.assert_allclose(next_one.u, now.u, atol=1e-7)
-
-
-def test_failing_event_counts_as_missing() -> None:
-    """The same event fails again; it is not a duplicate."""
-    jammed = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
-    watcher = observer(jammed, "geometric", [0.0, -1.0], epoch=EPOCH)
-    watcher.receive(switching(("c1", Kind.IMPACT), seconds=0.5, sequence=1))
-    watcher.set_state(EPOCH + NS_PER_S, [0.0], [-1.0])
-    both = switching(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2)
-    for _ in range(2):
-        with pytest.raises(ImpactLawError, match="'c1', 'c2'"):
-            watcher.receive(both)
 
 
 def test_new_episode_begins_with_all_contacts_open() -> None:

@@ -1,31 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The timeline: events in order, kept as long as they are needed."""
 
-from dataclasses import replace
+from tracing_law import traced, value
 
-import numpy as np
-import pytest
-
+from impact_observer.errors import ImpactLawError
 from impact_observer.events import Kind
-from impact_observer.observer import Belief
-from impact_observer.observer.ensemble import Ensemble
-from impact_observer.observer.event_order import EventKey, OverruledSwitch, Superseding
-from impact_observer.observer.synchronization import Synchronization
-from impact_observer.observer.timeline import Entry, Timeline, initial_entry
-
-NONE = Synchronization(-1.0, 0.0)
-
-
-def first(stamp: int, x: float) -> Entry:
-    """The first entry of a timeline."""
-    return initial_entry(stamp, Belief(Ensemble.of(np.array([[x]]))), NONE)
-
-
-def update(previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
-    """A state whose digits are the stamps of all earlier events."""
-    del superseding
-    belief = Belief(Ensemble.of(previous.belief.replicas * 10 + event.stamp))
-    return Entry(event, event.stamp, belief, NONE)
+from impact_observer.observer.event_order import EventKey
+from impact_observer.observer.timeline import Timeline, outcome
 
 
 def key(stamp: int, sequence: int = 0, contact: int = 0) -> EventKey:
@@ -33,17 +14,17 @@ def key(stamp: int, sequence: int = 0, contact: int = 0) -> EventKey:
     return EventKey(stamp, sequence, ((contact, Kind.IMPACT),))
 
 
-def filled(*keys: EventKey) -> Timeline:
+def filled(*keys: EventKey, history: int = 1000) -> Timeline:
     """A timeline from stamp 0 on with events that come in the given order."""
-    timeline = Timeline(first(0, 0.0), update)
+    timeline = traced(history)
     for each in keys:
-        timeline.insert(each)
+        outcome(timeline.inserting([each]))
     return timeline
 
 
-def states(timeline: Timeline) -> list[float]:
+def states(timeline: Timeline) -> list[int]:
     """The state after each entry."""
-    return [float(entry.belief.x[0]) for entry in timeline.entries]
+    return [value(entry) for entry in timeline.entries]
 
 
 def test_equal_stamps_are_successive_by_sequence() -> None:
@@ -69,53 +50,37 @@ def test_timeline_recognises_its_events() -> None:
     assert key(2, 1, 1) not in timeline
 
 
-def test_cut_keeps_the_states_after_it() -> None:
-    """States after the cut are the same as before."""
-    timeline = filled(key(1), key(2), key(4))
-    was_complete = [timeline.is_complete]
-    timeline.forget_before(3, 100)
-    assert states(timeline) == [12, 124]
-    assert timeline.start == key(2)
-    assert [*was_complete, timeline.is_complete] == [True, False]
-    assert timeline.entry_at(3).belief.x[0] == 12
-    timeline.forget_before(-5, 100)
-    assert states(timeline) == [12, 124]
+def test_the_past_is_as_long_as_the_history() -> None:
+    """States after it are the same as before; events of its very start are too late."""
+    whole = states(filled(key(1), key(2), key(4)))
+    timeline = filled(key(1), key(2), history=2)
+    assert timeline.is_complete
+    outcome(timeline.inserting([key(4)]))
+    assert states(timeline) == whole[2:]
+    assert (timeline.start, timeline.is_complete) == (2, False)
+    assert value(timeline.entry_at(3)) == whole[2]
+    assert [timeline.accepts(key(stamp, 9)) for stamp in (1, 2, 3, 4)] == [
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
-def test_update_that_fails_leaves_the_timeline_unchanged() -> None:
-    """The event is not in it, nor is any state changed."""
-
-    def failing(previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
-        if event.stamp == 3 and previous.key.stamp == 2:
-            raise ArithmeticError
-        return update(previous, event, superseding)
-
-    timeline = Timeline(first(0, 0.0), failing)
-    timeline.insert(key(1))
-    timeline.insert(key(3))
-    kept = states(timeline)
-    with pytest.raises(ArithmeticError):
-        timeline.insert(key(2))
-    assert states(timeline) == kept
-    assert key(2) not in timeline
+def test_an_event_that_cannot_be_applied_has_no_effect() -> None:
+    """Its entry has the error, and later events act as without it."""
+    timeline = filled(key(5), key(7), key(8))
+    before, failed = timeline.entries[1:3]
+    assert isinstance(failed.error, ImpactLawError)
+    assert (value(failed), failed.last) == (value(before), (5, 0))
+    assert states(timeline)[-1] == states(filled(key(5), key(8)))[-1]
 
 
-def test_events_of_one_stamp_are_applied_once_each() -> None:
-    """Only what a CLOSE supersedes, and what follows it, is applied again."""
-    applied: list[EventKey] = []
-
-    def counted(previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
-        applied.append(event)
-        overruled = tuple(OverruledSwitch(c, Kind.IMPACT, None, by) for c, by in superseding)
-        return replace(update(previous, event, superseding), overruled=overruled)
-
-    timeline = Timeline(first(0, 0.0), counted)
-    hits = [key(5, k) for k in range(1, 100)]
-    for each in hits:
-        timeline.insert(each)
-    assert applied == hits
-    timeline.insert(key(5, 100, 1))
-    closing = EventKey(5, 101, ((1, Kind.CLOSE),))
-    timeline.insert(closing)
-    timeline.insert(closing._replace(sequence=102))
-    assert [each.sequence for each in applied[99:]] == [100, 100, 101, 102]
+def test_a_close_replaces_the_impact_of_its_stamp_and_contact() -> None:
+    """Whichever comes first; the impact of another contact is left."""
+    closing = EventKey(5, 9, ((0, Kind.CLOSE),))
+    for keys in ([key(5, 8), key(5, 7, 1), closing], [closing, key(5, 7, 1), key(5, 8)]):
+        timeline = filled(*keys)
+        assert [entry.replaced for entry in timeline.entries[1:]] == [(), (0,), ()]
+        assert states(timeline)[-1] == states(filled(key(5, 7, 1), closing))[-1]
+        assert timeline.entries[-1].closed == (0,)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The timeline against a trivial reference: all events sorted, and applied from the beginning."""
 
-from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -14,14 +13,14 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 from systems import examples
+from tracing_law import SYSTEM, TracingLaw, traced, value
 
-from impact_observer.errors import DynamicsError
+from impact_observer.errors import ImpactLawError
 from impact_observer.events import Kind
 from impact_observer.observer import Belief
-from impact_observer.observer.ensemble import Ensemble
-from impact_observer.observer.event_order import EventKey, OverruledSwitch, Superseding
-from impact_observer.observer.synchronization import Synchronization
-from impact_observer.observer.timeline import Entry, Timeline, initial_entry, outcome
+from impact_observer.observer.contact_change import ContactChange
+from impact_observer.observer.event_order import EventKey
+from impact_observer.observer.timeline import outcome
 
 KEYS = st.builds(
     EventKey,
@@ -35,33 +34,7 @@ KEYS = st.builds(
     ),
     st.just(()),
 )
-NONE = Synchronization(-1.0, 0.0)
-
-
-def update(previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
-    """A number in which each event, and what supersedes it, leave their trace.
-
-    7 after 5 fails, and 9 after some of the numbers.
-    """
-    before = int(previous.belief.x[0])
-    if event.stamp == 7 and previous.key.stamp == 5:
-        raise DynamicsError("no solution")
-    if event.stamp == 9 and before % 5 == 0:
-        raise DynamicsError("no solution after this one")
-    trace = hash((event, tuple(sorted(superseding)))) % 97
-    belief = Belief(Ensemble.of(np.array([[float((31 * before + trace) % 1_000_003)]])))
-    overruled = tuple(OverruledSwitch(c, Kind.IMPACT, None, by) for c, by in superseding)
-    return Entry(event, event.stamp, belief, NONE, overruled=overruled)
-
-
-def beginning() -> Entry:
-    """The entry before all events."""
-    return initial_entry(0, Belief(Ensemble.of(np.array([[1.0]]))), NONE)
-
-
-def value(entry: Entry) -> float:
-    """The state after an event."""
-    return float(entry.belief.x[0])
+LAW = TracingLaw(SYSTEM)
 
 
 class TimelineMachine(RuleBasedStateMachine):
@@ -73,86 +46,70 @@ class TimelineMachine(RuleBasedStateMachine):
 
     checked = 0
 
-    @initialize()
-    def start(self) -> None:
+    @initialize(history=st.sampled_from([6, 100]))
+    def start(self, history: int) -> None:
         """Nothing has come."""
-        self.timeline = Timeline(beginning(), update)
-        self.first, self.keys = beginning(), list[EventKey]()
+        self.timeline = traced(history)
+        self.first, self.closed = self.timeline.entries[0].belief, tuple[int, ...]()
+        self.keys = list[EventKey]()
 
-    def replayed(self, keys: Sequence[EventKey]) -> list[float]:
-        """The states after all of ``keys``, sorted and applied from the beginning."""
-        ordered, entry, found = sorted(keys), self.first, [value(self.first)]
-        for i, key in enumerate(ordered):
-            same = [k for k in range(len(ordered)) if ordered[k].stamp == key.stamp and k != i]
-            chosen = [ordered[k] for k in same if k > i or not key.sequence]
-            closing = [
-                (contact, [e.sequence for e in chosen if (contact, Kind.CLOSE) in e.switches])
-                for contact, kind in key.switches
-                if kind is Kind.IMPACT
-            ]
-            entry = update(entry, key, [(contact, by[0]) for contact, by in closing if by])
-            found.append(value(entry))
+    def replayed(self) -> list[tuple[Belief, tuple[int, ...]]]:
+        """Belief and closed contacts after all events, sorted and applied from the beginning."""
+        found = [(self.first, self.closed)]
+        for key in sorted(self.keys):
+            closing = {
+                (i, Kind.IMPACT)
+                for other in self.keys
+                for i, kind in other.switches
+                if other.stamp == key.stamp and kind is Kind.CLOSE
+            }
+            switches = [each for each in key.switches if each not in closing]
+            belief, closed = found[-1]
+            if switches:
+                change = ContactChange.of(
+                    0.0, closed, switches, stamp=key.stamp, sequence=key.sequence
+                )
+                with suppress(ImpactLawError):
+                    belief, closed = LAW.correct(change, belief), change.closed
+            found.append((belief, closed))
         return found
 
-    def is_possible(self, keys: Sequence[EventKey]) -> bool:
-        """Whether all of ``keys`` can be applied."""
-        try:
-            self.replayed(keys)
-        except DynamicsError:
-            return False
-        return True
-
-    @rule(key=KEYS)
-    def insert(self, key: EventKey) -> None:
-        """One event; what fails changes nothing."""
-        if not self.timeline.accepts(key) or key in self.timeline:
-            return
-        try:
-            self.timeline.insert(key)
-        except DynamicsError:
-            assert not self.is_possible([*self.keys, key])
-        else:
-            self.keys.append(key)
-
     @rule(keys=st.lists(KEYS, min_size=1, max_size=5, unique=True))
-    def insert_together(self, keys: list[EventKey]) -> None:
-        """Several; those that cannot be applied are left out, and no others need be."""
+    def insert(self, keys: list[EventKey]) -> None:
+        """One event or several."""
         new = [k for k in keys if self.timeline.accepts(k) and k not in self.timeline]
         if not new:
             return
         made = outcome(self.timeline.inserting(new))
-        assert sorted([*made.failed, *(each.entry.key for each in made.insertions)]) == sorted(new)
-        assert not made.failed or not self.is_possible([*self.keys, *new])
-        self.keys += [key for key in new if key not in made.failed]
+        assert {*new} <= {entry.key for entry in made}
+        self.keys += new
+        self.forget()
 
-    @rule(stamp=st.integers(0, 12), most=st.integers(1, 20))
-    def forget(self, stamp: int, most: int) -> None:
-        """What is left has the states that it had."""
-        self.timeline.forget_before(stamp, most)
-        oldest = self.timeline.entries[0]
-        if not self.timeline.is_complete:
-            self.first = oldest
-            self.keys = [key for key in self.keys if key > oldest.key]
+    def forget(self) -> None:
+        """Take over the start of the past; what is left has the states that it had."""
+        every, start = sorted(self.keys), self.timeline.entries[0].key
+        before = sum(key < start for key in every)
+        self.first, self.closed = self.replayed()[before]
+        self.keys = every[before:]
 
     @rule(stamp=st.integers(0, 12))
-    def begin_again(self, stamp: int) -> None:
+    def set_state(self, stamp: int) -> None:
         """A state that holds after the events of its stamp."""
-        first = initial_entry(stamp, Belief(Ensemble.of(np.array([[5.0]]))), NONE)
-        keys = [key for key in self.keys if key.stamp > stamp]
-        if stamp < self.timeline.start.stamp:
+        if stamp < self.timeline.start:
             return
-        with suppress(DynamicsError):  # then nothing changes
-            self.timeline.restart(first, after=True)
-            self.first, self.keys = first, keys
+        self.closed = self.timeline.entry_at(stamp).closed
+        self.timeline.set_state(np.array([[5.0, float(stamp)]]), np.zeros((2, 2)), stamp)
+        self.first = self.timeline.entries[0].belief
+        self.keys = [key for key in self.keys if key.stamp > stamp]
 
     @invariant()
     def states_are_those_of_the_reference(self) -> None:
         """After every step, at every entry, and at every stamp."""
         TimelineMachine.checked += 1
-        wanted = self.replayed(self.keys)
+        wanted = [int(belief.x[0]) for belief, _ in self.replayed()]
         assert [value(entry) for entry in self.timeline.entries] == wanted
         ordered = sorted(self.keys)
-        for stamp in range(self.timeline.start.stamp, 14):
+        for stamp in range(self.timeline.start, 14):
             count = sum(key.stamp <= stamp for key in ordered)
             assert value(self.timeline.entry_at(stamp)) == wanted[count]
 

@@ -85,7 +85,7 @@ def final(verdicts: Iterable[Verdict]) -> Rulings:
 def likeliest(watcher: Observer) -> Rulings:
     """The same, by the likeliest hypothesis after the last event."""
     assert watcher.timeline is not None
-    notes = watcher.timeline.entries[-1].belief.notes
+    notes = watcher.timeline.entries[-1].belief.noted
     names = watcher.system.contact_names
     return {
         (n.stamp, 0 if n.is_inserted else n.event[1], names[n.contact]): n.ruling for n in notes
@@ -245,7 +245,7 @@ def test_no_verdict_is_issued_twice() -> None:
     assert not any(each.revises for each in verdicts)
 
 
-@pytest.mark.parametrize("history", [2.0, 3.0, 6.0])
+@pytest.mark.parametrize("history", [2.5, 3.0, 6.0])
 def test_late_event_repeats_no_verdict_on_the_forgotten_past(history: float) -> None:
     """Its verdicts reach no further back than the history."""
     model, start, whole = truth("two_mass", 20.0)
