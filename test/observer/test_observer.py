@@ -389,3 +389,14 @@ def test_initial_state_must_fit_the_system() -> None:
     """A state of another size is refused."""
     with pytest.raises(UsageError, match="velocity"):
         observer(TWO_MASS, "geometric", np.zeros(3))
+
+
+def test_an_epoch_that_does_not_matter_changes_no_estimate() -> None:
+    """The covariance of a system without time grows between events whose epoch is unknown, too."""
+    truth, found = true_run("bouncing_ball", 3.0), []
+    for epoch in (EPOCH, 0):
+        watcher = observer(sample("bouncing_ball").system, "minimum-variance", [3.0, -1.0])
+        for each in truth.events:
+            watcher.receive(ImpactEvent(each.stamp, each.switches, each.sequence + 5, 0, epoch))
+        found.append(estimates(watcher, truth.stamps[-3:]))
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
