@@ -47,7 +47,9 @@ _LOST_AFTER = 8
 _SETTLED = 0.02
 """Largest change of states and parameters at the end of a search, in standard deviations."""
 _SETTLED_EXACT = 1.0
-"""The same where stamps are as exact as their rounding, and changes are rounding of the search."""
+"""The same where stamps are as exact as their rounding, and a step gains nothing any more."""
+_GAIN = 0.1
+"""Gain of the log density that counts as nothing there."""
 _STEADY = 0.01
 """Change of the weight of a stamp that counts as none."""
 _ALIKE = 0.05
@@ -289,6 +291,7 @@ def fitted(
     theta = np.array(theta)
     first: MotionFit | None = None
     fit: MotionFit | None = None
+    worth = np.inf
     for number in range(rounds):
         is_first = number < firsts
         fit = linearised_fit(
@@ -311,8 +314,11 @@ def fitted(
         of_samples = fit.samples.inflation(fit.sample_errors)
         steady = np.max(np.abs(before / inflation - 1), initial=0.0) < _STEADY
         alike = np.allclose(sizes, were, rtol=_ALIKE, atol=0.0)
-        near_enough = _SETTLED if sizes.clock > ROUNDED else _SETTLED_EXACT
-        if not is_first and fit.distance < near_enough and steady and alike:
+        is_still = fit.distance < _SETTLED
+        if sizes.clock <= ROUNDED and fit.distance < _SETTLED_EXACT:  # the search is rounding
+            is_still = is_still or fit.worth < worth + _GAIN
+        worth = fit.worth
+        if not is_first and is_still and steady and alike:
             settled = replace(fit, is_settled=True)
             sizes = fit.density.likeliest_of_all(sizes, problem.clock)
             if first is not None or sizes == fit.sizes:

@@ -60,7 +60,6 @@ class Belief(NamedTuple):
         inconsistent: whether events have contradicted the declared model or uncertainty: the
             bound fell below zero.
         innovations: the estimate's gaps at the last event in standard deviations, by contact.
-        accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
         learned: estimated parameters, computed at the first request.
         misfit: the warning that the model does not explain the impacts; empty without misfit.
@@ -79,7 +78,6 @@ class Belief(NamedTuple):
     bound: float | None = None
     inconsistent: bool = False
     innovations: Mapping[int, float] = _NOTHING
-    accepted: bool = True
     clock_offset: float = 0.0
     learned: Learned = _NO_PARAMETERS
     misfit: str = ""
@@ -89,11 +87,6 @@ class Belief(NamedTuple):
     flown: float = 0.0
     noted: tuple[Note, ...] = ()
     clock_deviation: float = 0.0
-
-    @property
-    def notes(self) -> tuple[Note, ...]:
-        """What the likeliest hypothesis decides on the latest events."""
-        return self.noted
 
     @property
     def x(self) -> Vector:

@@ -18,6 +18,8 @@ AFTER_ALL = 1 << 65
 
 Switches: TypeAlias = tuple[tuple[int, Kind], ...]
 """Index of a contact and how it switches, each."""
+Numbers: TypeAlias = Mapping[int, int]
+"""Sequence of the event that has closed or opened a contact last, by its index."""
 
 
 class EventKey(NamedTuple):
@@ -46,21 +48,31 @@ class EventKey(NamedTuple):
         return self.sequence - AFTER_EVENTS
 
 
-def acting(events: Sequence[EventKey]) -> list[Switches]:
-    """The switches that act, for each of the ``events`` of one stamp.
+def acting(
+    events: Sequence[EventKey], numbers: Numbers
+) -> Iterator[tuple[EventKey, Switches, Numbers]]:
+    """Each of the ``events`` of one stamp, its switches that act, and the numbers after it.
 
     A sensor knows only later that a contact stays closed, and reports its edge once more then: the
-    CLOSE replaces the IMPACT of its stamp and contact.
+    CLOSE replaces the IMPACT of its stamp and contact. Jitter may put a switch after a later one
+    of the contact, which the numbers of the sender tell: an IMPACT or OPEN then does nothing, and
+    a CLOSE is an impact.
     """
-    if len(events) == 1:
-        return [events[0].switches]
     closing = {i for event in events for i, kind in event.switches if kind is Kind.CLOSE}
-    return [
-        tuple(
-            (i, kind) for i, kind in event.switches if kind is not Kind.IMPACT or i not in closing
-        )
-        for event in events
-    ]
+    is_alone = len(events) == 1
+    for event in events:
+        act = list[tuple[int, Kind]]()
+        for i, kind in event.switches:
+            if kind is Kind.IMPACT and i in closing and not is_alone:
+                continue
+            is_late = 0 < event.sequence < numbers.get(i, 0)
+            if not is_late:
+                act.append((i, kind))
+            elif kind is Kind.CLOSE:
+                act.append((i, Kind.IMPACT))
+            if kind is not Kind.IMPACT and not is_late:
+                numbers = {**numbers, i: event.sequence}
+        yield event, tuple(act), numbers
 
 
 def keys_of(events: Iterable[ImpactEvent], index: Mapping[str, int]) -> list[EventKey]:
@@ -79,9 +91,10 @@ def switched(events: Iterable[EventKey]) -> Iterator[tuple[EventKey, Contacts, S
     The events are in order, each once; all contacts are open at first.
     """
     closed: Contacts = ()
+    numbers: Numbers = {}
     for _, members in groupby(events, key=attrgetter("stamp")):
-        of_stamp = [*members]
-        for event, switches in zip(of_stamp, acting(of_stamp), strict=True):
+        for event, switches, after in acting([*members], numbers):
+            numbers = after
             yield event, closed, switches
             closed = ContactChange.of(0.0, closed, switches).closed
 

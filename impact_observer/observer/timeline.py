@@ -20,6 +20,7 @@ from impact_observer.observer.event_order import (
     AFTER_ALL,
     BEFORE_ALL,
     EventKey,
+    Numbers,
     Switches,
     acting,
 )
@@ -49,7 +50,9 @@ class Entry:
         closed: indices of the contacts with ``chi = 1`` after it, ascending.
         last: stamp (ns) and sequence of the last event so far; zeros before the first.
         impact: stamp of the last impact so far, ns; 0 before the first.
-        replaced: contacts of the event whose IMPACT a CLOSE of the same stamp replaces.
+        replaced: contacts of the event that a later one of the same stamp or a higher number
+            has switched.
+        numbers: sequence of the event that has closed or opened a contact last, by its index.
         error: why the event cannot be applied, so that it has no effect; None if it is applied.
         outcome: outcome of a sample; None for an event.
         rejected: by index of a sensor, how many of its latest samples in a row were rejected.
@@ -64,6 +67,7 @@ class Entry:
     last: tuple[int, int] = (0, 0)
     impact: int = 0
     replaced: Contacts = ()
+    numbers: Numbers = field(default_factory=dict)
     error: ImpactObserverError | None = None
     outcome: SampleOutcome | None = None
     rejected: Mapping[int, int] = field(default_factory=dict)
@@ -283,13 +287,13 @@ class Timeline:
         An event that cannot be applied has no effect, and its entry the error.
         """
         entries, events = [previous], [each for each in keys if not each.sample]
-        for event, switches in zip(events, acting(events), strict=True):
+        for event, switches, numbers in acting(events, previous.numbers):
             before = entries[-1]
             try:
                 entry = self._after_event(before, event, switches)
             except ImpactObserverError as error:
                 entry = replace(before, key=event, error=error, replaced=(), outcome=None)
-            entries.append(entry)
+            entries.append(replace(entry, numbers=numbers))
         if samples := keys[len(events) :]:
             entries += self._after_samples(entries[-1], samples)
         return entries[1:]

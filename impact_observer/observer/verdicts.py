@@ -108,7 +108,7 @@ def with_outcome(
     if entry.error is not None:
         return verdict._replace(ruling=Ruling.REJECTED, reason=str(entry.error))
     if contact in entry.replaced:
-        reason = "the CLOSE of its stamp replaces it"
+        reason = "a CLOSE of its stamp, or a later event of the contact, replaces it"
         return verdict._replace(ruling=Ruling.REJECTED, reason=reason)
     note = notes.get(Subject(entry.key[:2], contact))
     if note is not None:

@@ -164,7 +164,10 @@ def test_a_bag_that_cannot_be_read_has_findings_and_no_head(
 def test_persistent_contacts_and_drawn_parameters_are_those_of_simulate(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A row of bounces that jitter reorders about the closing: one persistent contact."""
+    """A row of bounces that jitter reorders about the closing: one persistent contact.
+
+    An impact that is stamped after the closing, and was before, does not count.
+    """
     model = tmp_path / "ball.yaml"
     model.write_text(
         "name: ball\nbodies: [{name: z, mass: 1}]\nforces: [{body: z, constant: -9.81}]\n"
@@ -175,10 +178,10 @@ def test_persistent_contacts_and_drawn_parameters_are_those_of_simulate(
     bag = tmp_path / "bag"
     command = f"simulate {model} --duration 1 --jitter 0.001 --random-parameters 2 -o {bag}"
     assert main(command.split()) == 0
-    (words,) = re.findall(r"with jitter: (\d+) impacts \((\d+) of them", capsys.readouterr().out)
+    (words,) = re.findall(r"(\d+) impacts, (\d+) of them", capsys.readouterr().out)
     found = content_of(bag)
-    assert (found["impacts"]["floor"], found["closings"]["floor"]) == tuple(map(int, words))
-    assert words[1] == "1"
+    assert int(words[0]) - 1 <= found["impacts"]["floor"] <= int(words[0])
+    assert (found["closings"]["floor"], words[1]) == (1, "1")
     assert main(["check", str(bag)]) == 0
     with BagReader(bag) as reader:
         true = model_of(reader).provenance["true_parameters"]

@@ -94,21 +94,27 @@ def consistent(events: list[ImpactEvent]) -> list[ImpactEvent]:
     ordered = sorted(events, key=lambda e: (e.stamp, e.sequence))
     first = min(each.sequence for each in events)
     plain: list[ImpactEvent] = []
-    for each in ordered:
-        closing = {
-            switch.contact
-            for other in ordered
-            for switch in other.switches
-            if other.stamp == each.stamp and switch.kind is Kind.CLOSE
-        }
-        switches = tuple(
-            switch
-            for switch in each.switches
-            if switch.kind is not Kind.IMPACT or switch.contact not in closing
-        )
+    for k, each in enumerate(ordered):
+        kinds = [(s.contact, effect(each, s, ordered, k)) for s in each.switches]
+        switches = tuple(Switch(contact, kind) for contact, kind in kinds if kind is not None)
         if switches:
             plain.append(replace(each, switches=switches, sequence=first + len(plain)))
     return plain
+
+
+def effect(event: ImpactEvent, switch: Switch, ordered: list[ImpactEvent], k: int) -> Kind | None:
+    """What a switch of the k-th event does; None for nothing."""
+
+    def numbers(others: list[ImpactEvent], *kinds: Kind) -> list[int]:
+        found = ((e.sequence, s) for e in others for s in e.switches)
+        return [n for n, s in found if s.contact == switch.contact and s.kind in kinds]
+
+    of_stamp = [each for each in ordered if each.stamp == event.stamp]
+    if switch.kind is Kind.IMPACT and numbers(of_stamp, Kind.CLOSE):
+        return None
+    if event.sequence >= max(numbers(ordered[:k], Kind.CLOSE, Kind.OPEN), default=0):
+        return switch.kind
+    return Kind.IMPACT if switch.kind is Kind.CLOSE else None
 
 
 @pytest.mark.slow

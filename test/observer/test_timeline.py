@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The timeline: events in order, kept as long as they are needed."""
 
+import pytest
 from tracing_law import traced, value
 
 from impact_observer.errors import ImpactLawError
-from impact_observer.events import Kind
+from impact_observer.events import Contacts, Kind
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.timeline import Timeline, outcome
 
@@ -33,6 +34,23 @@ def test_equal_stamps_are_successive_by_sequence() -> None:
     assert [entry.key.sequence for entry in timeline.entries[1:]] == [7, 8, 9]
     unnumbered = filled(key(1, 0, 1), key(1, 0, 0))
     assert [entry.key.switches[0][0] for entry in unnumbered.entries[1:]] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "closed"),
+    [
+        ([(1, 8, Kind.CLOSE), (2, 7, Kind.IMPACT)], (0,)),
+        ([(1, 9, Kind.OPEN), (2, 8, Kind.CLOSE)], ()),
+        ([(1, 8, Kind.CLOSE), (2, 7, Kind.OPEN)], (0,)),
+        ([(1, 8, Kind.CLOSE), (2, 9, Kind.IMPACT)], ()),
+    ],
+)
+def test_of_switches_that_jitter_swaps_the_highest_number_holds(
+    kinds: list[tuple[int, int, Kind]], closed: Contacts
+) -> None:
+    """An impact before a closing, and a closing before an opening, whatever their stamps."""
+    timeline = filled(*(EventKey(at, number, ((0, kind),)) for at, number, kind in kinds))
+    assert timeline.entries[-1].closed == closed
 
 
 def test_event_at_the_start_comes_after_the_initial_state() -> None:

@@ -186,12 +186,11 @@ class MinimumVariance(Law):
         event = Event(change.hit, stay, opened, change.stamp, change.sequence)
         bank = self.filter.after(bank._replace(t=t, late=delay), event)
         posterior = self.belief(bank, 0.0)
-        latest = [note for note in posterior.notes if note.event == event.key]
+        latest = [note for note in posterior.noted if note.event == event.key]
         used = [note for note in latest if not note.is_inserted]
         hits = bool(change.hit) and all(note.ruling is Ruling.APPLIED for note in used)
         return posterior._replace(
             onset=Onset(prior.x, change.hit) if hits else None,
-            accepted=all(note.ruling is Ruling.APPLIED for note in used),
             innovations={n.contact: n.innovation for n in used if n.innovation >= 0},
         )
 
