@@ -176,13 +176,6 @@ class RobotDescription:
         )
         return (("warning", problem),)
 
-    @property
-    def larger_errors(self) -> str:
-        """Why encoders of a robot may seem to err by much more than declared."""
-        if self.forces is None:
-            return "the model has no forces, so its torques count as zero"
-        return "efforts or masses of the model err by more than its torque_deviation covers"
-
     def with_urdf(self, text: str) -> "RobotDescription":
         """The robot with the ``text`` of the URDF that came from the topic.
 
