@@ -13,7 +13,7 @@ in one state.
 parameters, noise, gaps and loads along flights. Here the set of contacts that are pressed is
 given, and all is smooth in the state.
 
-These are five and seventeen methods: what a Kalman filter linearises is each a function of its own.
+These are five and seventeen methods: each thing that a Kalman filter linearises is one.
 """
 
 from abc import abstractmethod

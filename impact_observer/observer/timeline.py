@@ -149,7 +149,9 @@ class Timeline:
         now = self.entry_at(stamp)
         belief = self._law.begin(replicas, root, now.closed)
         test = self._test.initial(belief)
-        first = Entry(EventKey(stamp, AFTER_ALL), stamp, belief, test, now.closed)
+        first = Entry(
+            EventKey(stamp, AFTER_ALL), stamp, belief, test, now.closed, numbers=now.numbers
+        )
         keys = [entry.key for entry in self.entries if entry.key.stamp > stamp]
         self.entries = [first, *self._applied(first, keys)]
 

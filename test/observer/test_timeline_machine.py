@@ -51,11 +51,12 @@ class TimelineMachine(RuleBasedStateMachine):
         """Nothing has come."""
         self.timeline = traced(history)
         self.first, self.closed = self.timeline.entries[0].belief, tuple[int, ...]()
+        self.numbers = dict[int, int]()
         self.keys = list[EventKey]()
 
-    def replayed(self) -> list[tuple[Belief, tuple[int, ...]]]:
-        """Belief and closed contacts after all events, sorted and applied from the beginning."""
-        found = [(self.first, self.closed)]
+    def replayed(self) -> list[tuple[Belief, tuple[int, ...], dict[int, int]]]:
+        """Belief, closed contacts and their numbers after all events, applied in order."""
+        found = [(self.first, self.closed, self.numbers)]
         for key in sorted(self.keys):
             closing = {
                 (i, Kind.IMPACT)
@@ -63,15 +64,23 @@ class TimelineMachine(RuleBasedStateMachine):
                 for i, kind in other.switches
                 if other.stamp == key.stamp and kind is Kind.CLOSE
             }
-            switches = [each for each in key.switches if each not in closing]
-            belief, closed = found[-1]
+            (belief, closed, before), switches = found[-1], list[tuple[int, Kind]]()
+            numbers = dict(before)
+            for i, kind in key.switches:
+                if (i, kind) in closing:
+                    continue
+                if 0 < key.sequence < before.get(i, 0):  # a later event has closed or opened it
+                    switches += [(i, Kind.IMPACT)] if kind is Kind.CLOSE else []
+                    continue
+                switches.append((i, kind))
+                numbers |= {i: key.sequence} if kind is not Kind.IMPACT else {}
             if switches:
                 change = ContactChange.of(
                     0.0, closed, switches, stamp=key.stamp, sequence=key.sequence
                 )
                 with suppress(ImpactLawError):
                     belief, closed = LAW.correct(change, belief), change.closed
-            found.append((belief, closed))
+            found.append((belief, closed, numbers))
         return found
 
     @rule(keys=st.lists(KEYS, min_size=1, max_size=5, unique=True))
@@ -89,7 +98,7 @@ class TimelineMachine(RuleBasedStateMachine):
         """Take over the start of the past; what is left has the states that it had."""
         every, start = sorted(self.keys), self.timeline.entries[0].key
         before = sum(key < start for key in every)
-        self.first, self.closed = self.replayed()[before]
+        self.first, self.closed, self.numbers = self.replayed()[before]
         self.keys = every[before:]
 
     @rule(stamp=st.integers(0, 12))
@@ -98,6 +107,7 @@ class TimelineMachine(RuleBasedStateMachine):
         if stamp < self.timeline.start:
             return
         self.closed = self.timeline.entry_at(stamp).closed
+        self.numbers = dict(self.timeline.entry_at(stamp).numbers)
         self.timeline.set_state(np.array([[5.0, float(stamp)]]), np.zeros((2, 2)), stamp)
         self.first = self.timeline.entries[0].belief
         self.keys = [key for key in self.keys if key.stamp > stamp]
@@ -106,7 +116,7 @@ class TimelineMachine(RuleBasedStateMachine):
     def states_are_those_of_the_reference(self) -> None:
         """After every step, at every entry, and at every stamp."""
         TimelineMachine.checked += 1
-        wanted = [int(belief.x[0]) for belief, _ in self.replayed()]
+        wanted = [int(belief.x[0]) for belief, *_ in self.replayed()]
         assert [value(entry) for entry in self.timeline.entries] == wanted
         ordered = sorted(self.keys)
         for stamp in range(self.timeline.start, 14):
