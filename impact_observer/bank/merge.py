@@ -16,7 +16,8 @@ def most_of(numbers: Numbers, size: int) -> int:
 def merged(rows: Hypotheses, ladders: Ladders, numbers: Numbers, scan: int) -> Hypotheses:
     """Hypotheses with equal rungs, contacts and last ``scan`` decisions, and close means, as one.
 
-    Mean and covariance of each one are those of its parts (Gaussian sum).
+    Mean and covariance of each one are those of its parts (Gaussian sum). Rungs that fly alike
+    count as equal once their deviations are.
     """
     order = np.argsort(-rows.logw)
     order = order[rows.logw[order] > rows.logw[order[0]] + numbers.log_kept]
@@ -30,7 +31,9 @@ def merged(rows: Hypotheses, ladders: Ladders, numbers: Numbers, scan: int) -> H
             if deviations is None:
                 deviations = lengths_of(rows.roots(ladders)) + 1e-300
             first = group[0]
-            if np.all(np.abs(rows.x[k] - rows.x[first]) <= numbers.near * deviations[first]):
+            is_alike = rows.r[k] == rows.r[first] or np.all(deviations[k] <= 2 * deviations[first])
+            off = np.abs(rows.x[k] - rows.x[first])
+            if is_alike and np.all(off <= numbers.near * deviations[first]):
                 group.append(k)
                 break
         else:
