@@ -119,8 +119,8 @@ def _measured(
         by_x[:, d:] += (by_own @ back.Gamma)[:, 0]
         row = np.einsum("hi,hik->hk", by_x, root[:, :N]) + by_v[:, None] * root[:, N]
         row[:, -1] = noise
-        residual = guard.g.copy()
-        residual += np.einsum("hi,hi->h", by_x, prior.x - x) + by_v * (prior.v - v)
+        shift = np.einsum("hi,hi->h", by_x, prior.x - x) + by_v * (prior.v - v)
+        residual = guard.g + shift
         gain = np.einsum("hik,hk->hi", root, row) / np.sum(row * row, axis=1)[:, None]
         gain[:, considered] = 0.0
         x = prior.x - gain[:, :N] * residual[:, None]
@@ -157,11 +157,10 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
     S[:, :d] += by_v[:, :, None] * root[:, N:]
     error = flights.ladders.kicks[rows.r]
     if error.any() and not hit.closed:
-        kicks = np.zeros((H, N, len(hit.contacts)))
+        kicks, gamma = np.zeros((H, N, len(hit.contacts))), mechanism.gaps(back.x).gamma
         for k, contact in enumerate(hit.contacts):
-            gamma = error * mechanism.gaps(back.x).gamma[:, contact]
             stops = mechanism.stops(back.x, (contact,))[:, :, 0]
-            kicks[:, d // 2 : d, k] = gamma[:, None] * stops
+            kicks[:, d // 2 : d, k] = (error * gamma[:, contact])[:, None] * stops
         S = np.concatenate([S, kicks], axis=2)
     rounding = np.zeros((H, N, d))
     sizes = np.abs(whole[:, :d]).reshape(H, 2, -1).max(axis=2)

@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from impact_observer.bank.bank import Bank, Hypotheses, contacts_of, mixture
+from impact_observer.bank.bank import Bank, Hypotheses, contacts_of
 from impact_observer.bank.impact_bank import ImpactBank
 from impact_observer.bank.merge import merged
 from impact_observer.bank.predict import Leg
@@ -43,8 +43,7 @@ class Checkpoint:
     @cached_property
     def gaussian(self) -> tuple[Vector, Matrix]:
         """Their mean, shape (N,), and a root of their covariance, (N, N)."""
-        filter_ = self._course.filter
-        return mixture(self.rows, filter_.ladders, filter_.numbers.unpublished)
+        return self._course.filter.gaussian(self.rows)
 
     @cached_property
     def error(self) -> float:
@@ -123,10 +122,9 @@ class Course:
         """Mean, shape (N,), and root of the covariance, (N, N), after ``s`` seconds."""
         point = self._at(s)
         ago = s - point.start
-        filter_, flights, d = self.filter, self.flights, self.filter.d
+        flights, d = self.flights, self.filter.d
         if not point.is_plain(ago):
-            rows = self._rows(s)
-            return mixture(rows, filter_.ladders, filter_.numbers.unpublished)
+            return self.filter.gaussian(self._rows(s))
         if ago == 0:
             return point.gaussian
         length, (start, root) = np.array([ago]), point.gaussian

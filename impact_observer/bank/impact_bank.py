@@ -20,6 +20,7 @@ from impact_observer.bank.bank import (
     Hypotheses,
     bits,
     contacts_of,
+    mixture,
     objects,
 )
 from impact_observer.bank.branch import Branches, Priors, impacts
@@ -85,7 +86,8 @@ class ImpactBank:
         system = family.system
         self.n, self.m, self.d = system.n, system.m, 2 * system.n
         self.names = system.contact_names
-        mechanism = mechanism_near(family, np.array(family.nominal))
+        self._mechanism = lru_cache(4)(lambda theta: mechanism_near(family, np.array(theta)))
+        mechanism = self._mechanism(tuple(family.nominal.tolist()))
         error = declared.error
         level = None if error is None else float(error > 0 or mechanism.is_noisy)
         self.ladders = Ladders.of(declared.clock, level, numbers, has_encoders=system.has_encoders)
@@ -115,10 +117,9 @@ class ImpactBank:
         return self._flights(tuple(constants.tolist()))
 
     def _flights_of(self, constants: tuple[float, ...]) -> Flights:
-        given, size = np.array(constants), self.family.size
-        mechanism = mechanism_near(self.family, given[:size])
+        mechanism = self._mechanism(constants[: self.family.size])
         reports = Reports(self.log_missed, self._own_clocks)
-        return Flights(mechanism, given, self.ladders, self.numbers, reports)
+        return Flights(mechanism, np.array(constants), self.ladders, self.numbers, reports)
 
     def begin(self, t: Elapsed, x: Vector, root: Matrix, held: Contacts = ()) -> Bank:
         """The bank at a start: (q, u), shape (2n,), with a root of its covariance, (2n, 2n)."""
@@ -211,6 +212,10 @@ class ImpactBank:
         leg = Leg(bank.t, s, contacts_of(int(best.held[0])), bank.intensity)
         later = self.flights(bank.constants).flown(best, leg, np.zeros(1), np.array([s]))
         return later.x[0], triangular(later.published(self.ladders)[0])
+
+    def gaussian(self, rows: Hypotheses) -> tuple[Vector, Matrix]:
+        """``mixture`` as published: mean and root of the covariance, shapes (N,) and (N, N)."""
+        return mixture(rows, self.ladders, self.numbers.unpublished)
 
     def deaf(self, bank: Bank, t: float) -> Vector | None:
         """Until when the sensor reports no impact of each contact, s after ``t``, shape (m,)."""

@@ -16,12 +16,43 @@ from impact_observer.bank.bank import (
     Missed,
     objects,
 )
-from impact_observer.bank.note import Note
-from impact_observer.events import MISLABELLED, Contacts, Kind, Ruling
+from impact_observer.events import MISLABELLED, Contacts, Ruling
 from impact_observer.stamps import Elapsed
 
 _KEPT = 64
 """Notes of each hypothesis that are kept."""
+
+
+class Note(NamedTuple):
+    """What a hypothesis decides on one contact of an event, or on an impact it inserts.
+
+    Attributes:
+        event: stamp (ns) and sequence of the event at which it was decided.
+        stamp: of the impact, ns: that of the event, or an earlier one for an inserted impact.
+        contact: index.
+        ruling: applied, rejected or inserted.
+        reason: in plain words; empty for an event that is accepted as it was reported.
+        innovation: in standard deviations; -1 where there is none.
+        switched: index of the contact that has switched: another one where it was mislabelled.
+    """
+
+    event: tuple[int, int]
+    stamp: int
+    contact: int
+    ruling: Ruling
+    reason: str = ""
+    innovation: float = -1.0
+    switched: int = -1
+
+    @property
+    def is_inserted(self) -> bool:
+        """Whether it is on a missed impact that the hypothesis inserts."""
+        return self.ruling is Ruling.INSERTED
+
+    @property
+    def decision(self) -> tuple[object, ...]:
+        """The decision without its numbers, which follow the colon of the reason."""
+        return self.event, self.contact, self.ruling, self.reason.partition(":")[0]
 
 
 class Event(NamedTuple):
@@ -97,8 +128,6 @@ def _inserted(each: Missed, event: Event, t: Elapsed) -> Note:
         f"IMPACT {why}: without it the estimate would penetrate by {each.depth:.3g} standard"
         " deviations",
         switched=each.contact,
-        kind=Kind.IMPACT,
-        is_dead=each.is_dead,
     )
 
 

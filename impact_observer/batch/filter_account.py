@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.bank.note import Note
+from impact_observer.bank.notes import Note
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.belief import Belief
@@ -106,14 +106,14 @@ def _decided(
         trace, notes = traces[key], decided.get(key, ())
         clock = traces[keys[min(k + _SETTLED, len(keys) - 1)]].clock
         own = [note for note in notes if not note.is_inserted]
-        noted = {note.contact: note for note in own}
+        switched = {note.contact: note.switched for note in own}
         made = [
-            ((note.stamp, 0), [(note.switched, note.kind)], False)
+            ((note.stamp, 0), [(note.switched, Kind.IMPACT)], False)
             for note in notes
             if note.is_inserted
         ]
         if not own or own[0].ruling is Ruling.APPLIED:
-            switches = [_switch(i, kind, noted.get(i)) for i, kind in trace.change.switches]
+            switches = [(switched.get(i, i), kind) for i, kind in trace.change.switches]
             made.append((key, switches, True))
         for (stamp, sequence), switches, is_measured in made:
             t = Elapsed(stamp - epoch)
@@ -121,14 +121,6 @@ def _decided(
             if not change.is_nothing:
                 yield FilterMoment(change, is_measured, clock)
                 closed = change.closed
-
-
-def _switch(contact: int, kind: Kind, note: Note | None) -> tuple[int, Kind]:
-    """Return the contact that switched, and how, by the ``note`` on a reported ``contact``."""
-    if note is None:
-        return contact, kind
-    settles = kind is Kind.IMPACT and note.kind is Kind.CLOSE
-    return note.switched, Kind.CLOSE if settles else kind
 
 
 def _without_chatter(moments: Sequence[FilterMoment]) -> Iterator[FilterMoment]:

@@ -33,7 +33,7 @@ from impact_observer.model import System
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
 from impact_observer.observer.replay import Impacts, noting_impacts
-from impact_observer.observer.sender_runs import runs_of
+from impact_observer.observer.sender_runs import used_of
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimate, Estimates, Stamps
 
@@ -186,7 +186,7 @@ def sample_stamps(
         if truth is None or not reader.topics[truth].count:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
         return _stamps_of(reader, truth)
-    used = [event for run in runs_of(events) for event in run]
+    used = used_of(events)
     if not used:
         return np.empty(0, dtype=np.int64)
     start = max(epoch or used[0].epoch or used[0].stamp, reader.low)
@@ -199,7 +199,7 @@ def sample_stamps(
 def unseen_events(events: Sequence[ImpactEvent], stamps: Stamps) -> str:
     """A warning if events come after the last estimate; otherwise empty."""
     end = int(stamps.max()) if stamps.size else 0
-    used = [event for run in runs_of(events) for event in run]
+    used = used_of(events)
     if not (later := sum(each.stamp > end for each in used)):
         return ""
     return (

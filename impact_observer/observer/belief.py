@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.bank.bank import Bank
-from impact_observer.bank.note import Note
+from impact_observer.bank.notes import Note
 from impact_observer.events import Contacts
 from impact_observer.observer.ensemble import Ensemble
 from impact_observer.states import Matrix, Vector

@@ -18,7 +18,7 @@ AFTER_ALL = 1 << 65
 
 Switches: TypeAlias = tuple[tuple[int, Kind], ...]
 """Index of a contact and how it switches, each."""
-Numbers: TypeAlias = Mapping[int, int]
+LastSwitches: TypeAlias = Mapping[int, int]
 """Sequence of the event that has closed or opened a contact last, by its index."""
 
 
@@ -49,8 +49,8 @@ class EventKey(NamedTuple):
 
 
 def acting(
-    events: Sequence[EventKey], numbers: Numbers
-) -> Iterator[tuple[EventKey, Switches, Numbers]]:
+    events: Sequence[EventKey], numbers: LastSwitches
+) -> Iterator[tuple[EventKey, Switches, LastSwitches]]:
     """Each of the ``events`` of one stamp, its switches that act, and the numbers after it.
 
     A sensor knows only later that a contact stays closed, and reports its edge once more then: the
@@ -91,7 +91,7 @@ def switched(events: Iterable[EventKey]) -> Iterator[tuple[EventKey, Contacts, S
     The events are in order, each once; all contacts are open at first.
     """
     closed: Contacts = ()
-    numbers: Numbers = {}
+    numbers: LastSwitches = {}
     for _, members in groupby(events, key=attrgetter("stamp")):
         for event, switches, after in acting([*members], numbers):
             numbers = after

@@ -6,18 +6,16 @@ of the two velocities is an error with the probability that the plant is on the 
 """
 
 import math
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from impact_observer.dynamics import Mechanism, mechanism_of
+from impact_observer.dynamics import Mechanism
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Onset
 from impact_observer.observer.laws.law import Law
-from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
 REACH = 5.0
@@ -47,14 +45,9 @@ class Near(NamedTuple):
 class ImpactSides:
     """The errors of states that may be on the other side of an impact."""
 
-    def __init__(self, law: Law) -> None:
-        """Of the estimates of a ``law`` with a covariance."""
-        self._system: System | Robot = law.system
-        self._missed = law.uncertainty.missed
-
-    @cached_property
-    def _mechanism(self) -> Mechanism:
-        return mechanism_of(self._system)
+    def __init__(self, law: Law, mechanism: Mechanism) -> None:
+        """Of the estimates of a ``law`` with a covariance, by the ``mechanism`` of its system."""
+        self._mechanism, self._missed = mechanism, law.uncertainty.missed
 
     def errors(
         self, near: Near, x: Vector, root: Matrix, s: float, closed: Contacts
@@ -63,7 +56,7 @@ class ImpactSides:
 
         ``root`` is one of the covariance of ``x`` on its side; contacts are ``closed``.
         """
-        system, n = self._mechanism.near(x, np.zeros(0)), self._system.n
+        system, n = self._mechanism.near(x, np.zeros(0)), self._mechanism.system.n
         found = list[Vector]()
         clock = near.clock if near.clock > EXACT else 0.0
         gaps, speeds = system.gap(x[:n]).tolist(), system.contact_speed(x[n:]).tolist()

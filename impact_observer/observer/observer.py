@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.arrays_of_states import StateArrays
-from impact_observer.bank.note import Note
+from impact_observer.bank.notes import Note
 from impact_observer.dynamics import mechanism_of
 from impact_observer.errors import UsageError
 from impact_observer.events import (
@@ -168,7 +168,8 @@ class Observer:
         self.ensemble = ensemble
         self._starts: Matrix | None = None
         self._test = SynchronizationTest(system)
-        self._mechanism, self._sides = mechanism_of(self.system), ImpactSides(law)
+        self._mechanism = mechanism_of(self.system)
+        self._sides = ImpactSides(law, self._mechanism)
         self._history = from_seconds(history)
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}

@@ -99,6 +99,11 @@ def runs_of(events: Iterable[ImpactEvent]) -> list[list[ImpactEvent]]:
     return runs
 
 
+def used_of(events: Iterable[ImpactEvent]) -> list[ImpactEvent]:
+    """The events that an observer uses, run after run: ``runs_of`` as one list."""
+    return [event for run in runs_of(events) for event in run]
+
+
 def in_order(events: Iterable[ImpactEvent]) -> list[ImpactEvent]:
     """Sort a recording by run in use, stamp and sequence; ``events`` are in order of reception."""
     ordered = sorted(_placed(events), key=lambda each: (each[1], each[0].stamp, each[0].sequence))

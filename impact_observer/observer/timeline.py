@@ -20,7 +20,7 @@ from impact_observer.observer.event_order import (
     AFTER_ALL,
     BEFORE_ALL,
     EventKey,
-    Numbers,
+    LastSwitches,
     Switches,
     acting,
 )
@@ -39,7 +39,7 @@ MOST_MEASURED = 20_000
 
 @dataclass(slots=True, eq=False)
 class Entry:
-    """What is believed after one event or sample.
+    """The posterior of one event or sample.
 
     Attributes:
         key: the event or sample; at the start of the past, a key without either.
@@ -52,7 +52,8 @@ class Entry:
         impact: stamp of the last impact so far, ns; 0 before the first.
         replaced: contacts of the event that a later one of the same stamp or a higher number
             has switched.
-        numbers: sequence of the event that has closed or opened a contact last, by its index.
+        last_switches: by index of a contact, the sequence of the event that has switched the
+            contact last.
         error: why the event cannot be applied, so that it has no effect; None if it is applied.
         outcome: outcome of a sample; None for an event.
         rejected: by index of a sensor, how many of its latest samples in a row were rejected.
@@ -67,7 +68,7 @@ class Entry:
     last: tuple[int, int] = (0, 0)
     impact: int = 0
     replaced: Contacts = ()
-    numbers: Numbers = field(default_factory=dict)
+    last_switches: LastSwitches = field(default_factory=dict)
     error: ImpactObserverError | None = None
     outcome: SampleOutcome | None = None
     rejected: Mapping[int, int] = field(default_factory=dict)
@@ -150,7 +151,12 @@ class Timeline:
         belief = self._law.begin(replicas, root, now.closed)
         test = self._test.initial(belief)
         first = Entry(
-            EventKey(stamp, AFTER_ALL), stamp, belief, test, now.closed, numbers=now.numbers
+            EventKey(stamp, AFTER_ALL),
+            stamp,
+            belief,
+            test,
+            now.closed,
+            last_switches=now.last_switches,
         )
         keys = [entry.key for entry in self.entries if entry.key.stamp > stamp]
         self.entries = [first, *self._applied(first, keys)]
@@ -289,13 +295,13 @@ class Timeline:
         An event that cannot be applied has no effect, and its entry the error.
         """
         entries, events = [previous], [each for each in keys if not each.sample]
-        for event, switches, numbers in acting(events, previous.numbers):
+        for event, switches, numbers in acting(events, previous.last_switches):
             before = entries[-1]
             try:
                 entry = self._after_event(before, event, switches)
             except ImpactObserverError as error:
                 entry = replace(before, key=event, error=error, replaced=(), outcome=None)
-            entries.append(replace(entry, numbers=numbers))
+            entries.append(replace(entry, last_switches=numbers))
         if samples := keys[len(events) :]:
             entries += self._after_samples(entries[-1], samples)
         return entries[1:]

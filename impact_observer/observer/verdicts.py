@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple
 
-from impact_observer.bank.note import Note
+from impact_observer.bank.notes import Note
 from impact_observer.events import REVISED, Ruling, Verdict
 from impact_observer.observer.timeline import Entry
 

@@ -107,7 +107,7 @@ class TimelineMachine(RuleBasedStateMachine):
         if stamp < self.timeline.start:
             return
         self.closed = self.timeline.entry_at(stamp).closed
-        self.numbers = dict(self.timeline.entry_at(stamp).numbers)
+        self.numbers = dict(self.timeline.entry_at(stamp).last_switches)
         self.timeline.set_state(np.array([[5.0, float(stamp)]]), np.zeros((2, 2)), stamp)
         self.first = self.timeline.entries[0].belief
         self.keys = [key for key in self.keys if key.stamp > stamp]

@@ -6,12 +6,12 @@
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy import linalg
 
-from impact_observer.bank.bank import Bank, mixture
+from impact_observer.bank.bank import Bank
 from impact_observer.bank.correct import Hit
 from impact_observer.bank.course import Course
 from impact_observer.bank.impact_bank import DeclaredErrors, ImpactBank
@@ -113,40 +113,40 @@ class MinimumVariance(Law):
         if s + bank.late:
             x, root = Course(self.filter, bank).estimate(s + bank.late)
         else:
-            x, root = self._gaussian(bank)
+            x, root = self.filter.gaussian(bank.rows)
         return self.made(bank, x, root, s)
 
-    def made(self, bank: Bank, x: Vector, root: Matrix, s: float) -> Belief:
-        """The belief of an estimate ``s`` seconds after the stamp of a bank, shape (N,)."""
-        size = 2 * self.system.n
-        return Belief(
-            Ensemble(x[:size], root[:size]),
-            _anywhere(root[:size], bank) if bank.contradicted else root[:size],
-            flown=s,
-            clock_offset=float(x[-1]) if self._has_delay else 0.0,
-            learned=Learned(lambda: self._learned(bank, x, root)),
-            **self._told(bank),
-        )
+    def made(self, bank: Bank, x: Vector, root: Matrix | None, s: float) -> Belief:
+        """The belief of an estimate ``s`` seconds after the stamp of a bank, shape (N,).
 
-    def _told(self, bank: Bank) -> dict[str, Any]:
-        """What a belief tells of its ``bank`` whenever the belief holds."""
-        rows, ladders, misfit = bank.rows, self.filter.ladders, ""
+        Without a ``root``, at the stamp, the covariance is found when asked for.
+        """
+        size, rows, ladders, misfit = 2 * self.system.n, bank.rows, self.filter.ladders, ""
         if bank.contradicted:
             misfit = CONTRADICTION.format(bank.farthest)
         elif bank.doubted >= _DOUBTED:
             level = float(rows.weights @ ladders.errors[rows.r])
             misfit = f"{MISFIT}: flights miss by {level:.2g} of the accelerations"
             misfit = misfit if ladders.is_learned else JUMPS
-        clock = float(ladders.clocks[rows.c[rows.best]])
-        noted = rows.notes[rows.best]
-        return {"bank": bank, "noted": noted, "clock_deviation": clock, "misfit": misfit}
+        own = published = None if root is None else root[:size]
+        if own is not None and bank.contradicted:
+            published = _anywhere(own, bank)
+        return Belief(
+            Ensemble(x[:size], np.zeros((size, 0)) if own is None else own),
+            published,
+            bank=bank,
+            flown=s,
+            clock_offset=float(x[-1]) if self._has_delay else 0.0,
+            learned=Learned(lambda: self._learned(bank, x, root)),
+            noted=rows.notes[rows.best],
+            clock_deviation=float(ladders.clocks[rows.c[rows.best]]),
+            misfit=misfit,
+        )
 
-    def _gaussian(self, bank: Bank) -> tuple[Vector, Matrix]:
-        """The estimate of a ``bank`` and a root of its covariance, shapes (N,) and (N, N)."""
-        return mixture(bank.rows, self.filter.ladders, self.filter.numbers.unpublished)
-
-    def _learned(self, bank: Bank, x: Vector, root: Matrix) -> Parameters:
+    def _learned(self, bank: Bank, x: Vector, root: Matrix | None) -> Parameters:
         """The estimated constants, and the levels of errors."""
+        if root is None:
+            root = self.filter.gaussian(bank.rows)[1]
         size, rows, ladders = 2 * self.system.n, bank.rows, self.filter.ladders
         deviations = lengths_of(root[size:]).tolist()
         each = zip(self._names, x[size:].tolist(), deviations, self._considered, strict=True)
@@ -200,7 +200,7 @@ class MinimumVariance(Law):
         """Every hypothesis is corrected and weighed; the covariance is found when asked for."""
         del before, s
         assert isinstance(prediction, BankPrediction), "a prediction of this law"
-        bank, outcomes, size = prediction.bank, list[SampleOutcome](), 2 * self.system.n
+        bank, outcomes = prediction.bank, list[SampleOutcome]()
         t = elapsed(readings[0].t)
         bank = self.filter.predicted(bank, t - bank.t)._replace(t=t, late=0.0)
         for reading in readings:
@@ -221,22 +221,14 @@ class MinimumVariance(Law):
             if z > gate:
                 reason = f"gate: {z:.3g} standard deviations; {gate:g} are allowed"
             outcomes.append(SampleOutcome(innovation, z, not reason, reason))
-        x = bank.rows.x[bank.rows.best]
-        belief = Belief(
-            Ensemble(x[:size], np.zeros((size, 0))),
-            clock_offset=float(x[-1]) if self._has_delay else 0.0,
-            learned=Learned(lambda: self._learned(bank, *self._gaussian(bank))),
-            **self._told(bank),
-        )
-        return belief, outcomes
+        return self.made(bank, bank.rows.x[bank.rows.best], None, 0.0), outcomes
 
     def impact_balance(
         self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
     ) -> ImpactBalance:
         """The balance of the contacts that hit, with deviations, at the estimated instant."""
-        prior, filter_ = prediction.belief(change.flown).bank, self.filter
-        bank = (after or before).bank
-        assert prior is not None, "a belief of this law"
+        assert isinstance(prediction, BankPrediction), "a prediction of this law"
+        prior, filter_, bank = prediction.bank, self.filter, (after or before).bank
         assert bank is not None, "a belief of this law"
         best = bank.rows.take([bank.rows.best])
         rows = filter_.predicted(prior, change.flown + prior.late, change.hit).rows
@@ -244,7 +236,7 @@ class MinimumVariance(Law):
         inserted = sum(n.is_inserted and n.event == event for n in best.notes[0]) if after else 0
         own = np.array([len(each) == inserted for each in rows.missed])
         rows = rows.take(own) if own.any() else rows
-        x, root = mixture(rows, filter_.ladders, filter_.numbers.unpublished)
+        x, root = filter_.gaussian(rows)
         row = best._replace(x=x[None], S=root[None], B=np.zeros_like(best.B))
         late = 0.0 if after is None else bank.late
         held = tuple(i for i in change.before if i not in change.hit)
