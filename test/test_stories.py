@@ -86,6 +86,7 @@ def test_the_tutorial_runs_block_by_block(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
 def test_the_python_of_the_api_page_prints_what_the_page_says(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
