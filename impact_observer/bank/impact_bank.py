@@ -180,10 +180,16 @@ class ImpactBank:
             leg = Leg(bank.t, s, (), bank.intensity, named, self.deaf(bank, bank.t))
             rows = self.flights(bank.constants).moved(bank.rows, leg)
             bank = bank._replace(t=bank.t + s, rows=rows, ago=bank.ago + s)
+            if rows.size > 1 and not named and self._ticks(bank.t, s):
+                bank = bank._replace(rows=merged(rows, self.ladders, self.numbers, self.scan))
             if self.family.system.has_encoders:
                 x = rows.x[rows.best, : self.d]
                 return self._sized(bank._replace(replica=x, ago=0.0), x**2, s)
         return self._followed(bank) if named and bank.ago > 0 else bank
+
+    def _ticks(self, t: Elapsed, s: float) -> bool:
+        """Whether a time scale since the epoch ends in the ``s`` seconds before ``t``."""
+        return math.floor(t * self.rate) != math.floor((t + -s) * self.rate)
 
     def _followed(self, bank: Bank) -> Bank:
         """The bank with its replica at its own instant, whose motion since then has a size."""
@@ -314,8 +320,7 @@ class ImpactBank:
             order = order[logw > logw[0] + self.numbers.log_kept]
             found = Sampled(found.rows.take(order), found.innovation[order], found.z[order])
         rows = found.rows
-        most = most_of(self.numbers, rows.x.shape[1]) if self.ladders.is_learned else 1
-        if rows.size > most:
+        if rows.size > most_of(self.numbers, rows.x.shape[1]):
             rows = merged(rows, self.ladders, self.numbers, self.scan)
         rows = rows._replace(logw=rows.logw - np.logaddexp.reduce(rows.logw))
         return self._recentred(bank._replace(rows=rows)), found

@@ -172,6 +172,8 @@ class Flights:
         """
         if leg.s <= 0:
             return rows
+        if (later := self._undisturbed(rows, leg)) is not None:
+            return later
         most = self.numbers.most_missed if leg.most is None else leg.most
         done, todo = list[Hypotheses](), [(rows, np.zeros(rows.size), most)]
         best = -np.inf
@@ -187,6 +189,26 @@ class Flights:
             todo = [self._likely(*each, best) for each in todo]
             todo = [each for each in todo if each[0].size]
         return Hypotheses.joined(done)
+
+    def _undisturbed(self, rows: Hypotheses, leg: Leg) -> Hypotheses | None:
+        """The hypotheses at the end of a short leg on which no gap can close; None if one may.
+
+        In one stride a gap is the cubic through values and slopes of both ends, and a cubic is
+        above zero where its control points are (Farin, Curves and surfaces for CAGD, 2002).
+        """
+        if leg.s > self.mechanism.stride or rows.held.any() or rows.paid.any():
+            return None
+        later = self.flown(
+            rows, leg._replace(held=()), np.zeros(rows.size), np.full(rows.size, leg.s)
+        )
+        third = leg.s / 3
+        for each, ahead in ((rows, third), (later, -third)):
+            g, gamma, _ = self.mechanism.gaps(each.x[:, : self.d])
+            if self.p:
+                g = g + self.beside(each.x) @ self.mechanism.gap_slopes.T
+            if not ((g > 0) & (g + ahead * gamma > 0)).all():
+                return None
+        return later
 
     def _likely(
         self, rows: Hypotheses, start: Vector, left: int, best: float

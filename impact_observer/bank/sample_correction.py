@@ -102,26 +102,15 @@ def sampled(
     """
     d, ladders = flights.d, flights.ladders
     value, by = np.empty(rows.size), np.empty(rows.x.shape)
-    jump = np.zeros(rows.size)
-    gaps = flights.mechanism.gaps(rows.x[:, :d])
-    is_inside = (gaps.g < 0).any()
     for own, held in rows.by_held():
         value[own], by[own] = sample.function.at(rows.x[own], t, held, flights)
-        for contact in range(flights.m) if is_inside else ():
-            if contact in held:
-                continue
-            gap, speed = gaps.g[own, contact], gaps.gamma[own, contact]
-            late = _LATE * flights.clock(contact, rows.c[own]) * np.abs(speed)
-            which = own[(gap < 0) & (-gap < late)]
-            if which.size:
-                hit = rows.x[which].copy()
-                hit[:, :d] = flights.mechanism.impact(hit[:, :d], (contact,)).x
-                jump[which] += sample.function.at(hit, t, held, flights)[0] - value[which]
     innovation = sample.value - value
     if sample.period:
         innovation -= sample.period * np.round(innovation / sample.period)
     rounding = _ROUNDING * np.abs(by * rows.x).sum(axis=1) + 1e-300
-    noise = sample.variance + rounding**2 + jump**2
+    noise = sample.variance + rounding**2
+    if rows.paid.any():
+        noise += _jumps(rows, sample.function, t, flights) ** 2
     root = rows.roots(ladders)
     row = (by[:, None] @ root)[:, 0]
     variance = np.einsum("hk,hk->h", row, row) + noise
@@ -144,3 +133,19 @@ def sampled(
         part = np.where(ladders.errors[rows.r] > 0, part, 1.0)
         B = rows.B - (gain[:, :d] * part[:, None])[:, :, None] * by_error[:, None, :]
     return Sampled(rows._replace(x=x, S=S, B=B, logw=logw), innovation, z)
+
+
+def _jumps(rows: Hypotheses, function: Function, t: Elapsed, flights: Flights) -> Vector:
+    """Changes of a function by the jumps of hypotheses inside stops that may be late, (H,)."""
+    d, jump, gaps = flights.d, np.zeros(rows.size), flights.mechanism.gaps(rows.x[:, : flights.d])
+    for own, held in rows.by_held():
+        for contact in np.flatnonzero(rows.paid[own].any(axis=0)).tolist():
+            gap, speed = gaps.g[own, contact], gaps.gamma[own, contact]
+            late = _LATE * flights.clock(contact, rows.c[own]) * np.abs(speed)
+            which = own[(gap < 0) & (-gap < late)]
+            if which.size:
+                hit = rows.x[which].copy()
+                hit[:, :d] = flights.mechanism.impact(hit[:, :d], (contact,)).x
+                before, after = (function.at(x, t, held, flights)[0] for x in (rows.x[which], hit))
+                jump[which] += after - before
+    return jump

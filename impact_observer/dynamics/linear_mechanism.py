@@ -74,6 +74,11 @@ class LinearMechanism:
         return _WINDOW * self.phases.phase(()).flow.exponential.step
 
     @property
+    def stride(self) -> float:
+        """A step of the exponential."""
+        return self.phases.phase(()).flow.exponential.step
+
+    @property
     def theta(self) -> Vector:
         """The parameters of its tangent, shape (p,)."""
         return self.tangent.theta

@@ -151,6 +151,10 @@ class Mechanism(Protocol):
         """How far a flight is looked ahead at once, s."""
 
     @property
+    def stride(self) -> float:
+        """How long gaps are cubics of time in flights, to 1e-4 of their changes, s."""
+
+    @property
     def is_noisy(self) -> bool:
         """Whether the model declares forces that are white noise."""
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
 from impact_observer.dynamics.contact.projection import KEPT
-from impact_observer.dynamics.exponential import Exponential
+from impact_observer.dynamics.exponential import TERMS, Exponential
 from impact_observer.dynamics.mechanism import Array, Flown
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.events import Contacts
@@ -197,21 +197,18 @@ class Tangent:
         Returns:
             Shape (K, 2n, 2n).
         """
-        exponential = self._noisy(held, intensity)
-        d, step = 2 * self.n, exponential.step
-        blocks = exponential.matrices(np.array([step]))[0]
+        terms, Phi, whole = self._noisy(held, intensity)
+        step = self.phase(held).flow.exponential.step
         turns = np.trunc(s / step)
-        part = exponential.matrices(s - turns * step)
-        # the upper row of exp [[A, Q], [0, -A']] s is e^{As} and (covariance) e^{-A's}
-        Q = part[:, :d, d:] @ np.swapaxes(part[:, :d, :d], -1, -2)
-        Phi, whole = blocks[:d, :d], blocks[:d, d:] @ blocks[:d, :d].T
+        within = np.vander(s / step - turns, TERMS, increasing=True)
+        Q = np.asarray(np.einsum("kt,tij->kij", within, terms))
         left = turns.astype(np.int64)
         while left.any():
             odd = left % 2 == 1
             Q[odd] = Phi @ Q[odd] @ Phi.T + whole
             whole, Phi = Phi @ whole @ Phi.T + whole, Phi @ Phi
             left //= 2
-        values, vectors = np.linalg.eigh((Q + np.swapaxes(Q, -1, -2)) / 2)
+        values, vectors = np.linalg.eigh(Q)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
     def gaps(self, contacts: Contacts) -> GuardRows:
@@ -339,15 +336,24 @@ class Tangent:
                 E[w, v], E[v, v], E[v, own] = A[:d, own], A[own, own], self._turned(j)
         return Exponential(E, flow.exponential.rate), places
 
-    def _noise_of(self, held: Contacts, intensity: tuple[float, ...]) -> Exponential:
-        """Return the exponential of Van Loan's matrix of white accelerations."""
+    def _noise_of(
+        self, held: Contacts, intensity: tuple[float, ...]
+    ) -> tuple[Array, Matrix, Matrix]:
+        """Return the covariance Q of white accelerations, ``Q' = A Q + Q A' + B B'``.
+
+        Its Taylor terms in a step have shape (TERMS, 2n, 2n); then the transition and the
+        covariance of a whole step, (2n, 2n).
+        """
         phase, n, d = self.phase(held), self.n, 2 * self.n
-        A = phase.flow.exponential.A[:d, :d]
+        exponential = phase.flow.exponential
+        rates = exponential.A[:d, :d] * exponential.step
         root = (phase.inverse @ self.system.M) * np.array(intensity)
-        whole = np.zeros((2 * d, 2 * d))
-        whole[:d, :d], whole[d:, d:] = A, -A.T
-        whole[n:d, d + n :] = root @ root.T
-        return Exponential(whole, phase.flow.exponential.rate)
+        terms = np.zeros((TERMS, d, d))
+        terms[1, n:, n:] = root @ root.T * exponential.step
+        for k in range(2, TERMS):
+            grown = rates @ terms[k - 1] / k
+            terms[k] = grown + grown.T
+        return terms, exponential.whole[:d, :d], terms.sum(axis=0)
 
     def _stops_of(self, pressed: Contacts) -> tuple[Matrix, dict[int, Matrix]]:
         """Return ``X`` of ``u+ = u- - X gamma-`` (n, k), and ``-dX`` by parameters of masses."""

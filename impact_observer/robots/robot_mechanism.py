@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.contact.complementarity import complementary
@@ -38,7 +39,8 @@ _ZERO = 1e-11
 """Acceleration of a gap that counts as none, relative to the largest term of its sum."""
 _LONGEST_STEP = 0.1
 """Longest step of flights with derivatives, in the inverse of the fastest rate at rest."""
-
+_CLOSE = 0.01
+"""Difference of coordinates of two states whose flights differ by their derivatives, rad or m."""
 _SHORT = 0.2
 """Steps up to which one linearisation does, over the longest step."""
 _KEPT = 256
@@ -53,6 +55,7 @@ class RobotMechanism:
         timescale: of a fall through the reach of the robot, s.
         rate: the fastest rate at rest with all coordinates zero, at least 1, 1/s.
         window: the longest step of a flight, s.
+        stride: the same.
         names: parameters by which derivatives are taken, as in ``robot_parameters``.
         theta: their values, shape (p,).
         gap_slopes: no parameter moves a plane, shape (m, p).
@@ -70,7 +73,7 @@ class RobotMechanism:
         n = robot.n
         A, _ = robot.rate_derivatives(np.zeros(2 * n), robot.rest_torque(np.zeros(n)))
         self.rate = max(float(np.max(np.abs(np.linalg.eigvals(A)))), 1.0)
-        self.window = _LONGEST_STEP / self.rate
+        self.window = self.stride = _LONGEST_STEP / self.rate
         self._courses: OrderedDict[tuple[object, ...], RobotCourse] = OrderedDict()
         self._known: object = None
         self._placed = lru_cache(_KEPT)(self._placed_at)
@@ -139,12 +142,16 @@ class RobotMechanism:
         return Way(self.system, self.names, is_moved, held, self.window, _SHORT * self.window)
 
     def flown(self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /) -> Flown:
-        """Steps of Runge and Kutta, one state after the other."""
+        """Steps of Runge and Kutta, one state after the other; close states share derivatives."""
         after = np.empty_like(x)
         Phi, Gamma = np.empty((*x.shape, x.shape[1])), np.empty((*x.shape, self.theta.size))
-        for k, (course, seconds) in enumerate(self._flights(t, x, s, held)):
+        near = self._near_first(t, x, s)
+        for k, (course, seconds) in self._flights(t, x, s, held, near):
             after[k] = course.state(seconds)
             Phi[k], Gamma[k] = course.maps(seconds)
+        if near.any():
+            after[near] = after[0] + (x[near] - x[0]) @ Phi[0].T
+            Phi[near], Gamma[near] = Phi[0], Gamma[0]
         return Flown(after, Phi, Gamma)
 
     def noise(
@@ -157,9 +164,21 @@ class RobotMechanism:
         /,
     ) -> Array:
         """White torques and accelerations along the motion of each state, step by step."""
-        given = np.array(intensity)
-        flights = self._flights(t, x, s, held)
-        return np.array([course.noise(seconds, given) for course, seconds in flights])
+        given, found = np.array(intensity), np.empty((*x.shape, x.shape[1]))
+        near = self._near_first(t, x, s)
+        for k, (course, seconds) in self._flights(t, x, s, held, near):
+            found[k] = course.noise(seconds, given)
+        found[near] = found[0]
+        return found
+
+    def _near_first(self, t: Sequence[float], x: Array, s: Vector) -> NDArray[np.bool_]:
+        """Which states fly as the first one does, but for terms of second order, shape (K,)."""
+        near = np.zeros(len(x), dtype=np.bool_)
+        if len(x) > 1 and len(s) == len(t) == 1 and abs(s[0]) <= self.stride:
+            q, u = np.split(np.abs(x - x[0]), 2, axis=1)
+            near = np.all(q + u / self.rate <= _CLOSE, axis=1)
+            near[0] = False
+        return near
 
     def rates(self, t: Sequence[float], x: Array, held: Contacts, /) -> Array:
         """``(u, u')`` of each state."""
@@ -215,7 +234,7 @@ class RobotMechanism:
         steps = max(math.ceil(float(s.max()) / self.window), 1)
         ends = np.minimum(np.arange(steps + 1)[:, None] * self.window, s)
         states = np.empty((steps + 1, *x.shape))
-        for h, (course, _) in enumerate(self._flights(t, x, s, held)):
+        for h, (course, _) in self._flights(t, x, s, held):
             states[:, h] = [course.state(each) for each in ends[:, h].tolist()]
         return states, ends
 
@@ -299,28 +318,35 @@ class RobotMechanism:
         return np.asarray(found.reshape(x.shape[:-1]))
 
     def _flights(
-        self, t: Sequence[float], x: Array, s: Vector, held: Contacts
-    ) -> list[tuple[RobotCourse, float]]:
-        """The course of each state and the duration of its flight; the latest are kept."""
+        self,
+        t: Sequence[float],
+        x: Array,
+        s: Vector,
+        held: Contacts,
+        left_out: NDArray[np.bool_] | None = None,
+    ) -> list[tuple[int, tuple[RobotCourse, float]]]:
+        """Numbers of states, the course of each and the duration of its flight; none ``left_out``.
+
+        The latest courses are kept.
+        """
         robot, courses = self.system, self._courses
         sampled = robot.forcing.sampled
         known = None if sampled is None else sampled.time  # replaced where samples come
         if known is not self._known:
             courses.clear()
             self._known = known
-        times, lengths, found = [*t], s.tolist(), list[tuple[RobotCourse, float]]()
-        if len(x) > 1:  # one for all
-            times = times * len(x) if len(times) == 1 else times
-            lengths = lengths * len(x) if len(lengths) == 1 else lengths
-        for at, start, seconds in zip(times, x, lengths, strict=True):
-            asked = at, seconds < 0, held, start.tobytes()
+        times, lengths = list(t), s.tolist()
+        found = list[tuple[int, tuple[RobotCourse, float]]]()
+        for k in range(len(x)) if left_out is None else np.flatnonzero(~left_out).tolist():
+            at, seconds = times[min(k, len(times) - 1)], lengths[min(k, len(lengths) - 1)]
+            asked = at, seconds < 0, held, x[k].tobytes()
             course = courses.pop(asked, None)
             if course is None:
-                course = RobotCourse(self._way(held), at, start, backward=seconds < 0)
+                course = RobotCourse(self._way(held), at, x[k], backward=seconds < 0)
                 if len(courses) == _KEPT:
                     courses.popitem(last=False)
             courses[asked] = course  # the last to be forgotten
-            found.append((course, seconds))
+            found.append((k, (course, seconds)))
         return found
 
 
