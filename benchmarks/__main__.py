@@ -3,6 +3,7 @@
 
     ./dev bench speed                     rows of a group: speed, accuracy, honesty or fits
     ./dev bench 'filter*' --rounds 3      rows by name or pattern
+    ./dev bench --plants FOLDER           rows of honesty for recordings made elsewhere
     ./dev bench --list                    all rows
     ./dev bench beside FOLDER NAME...     this checkout and another one take turns
     ./dev bench walk                      which functions of the package an event calls
@@ -91,9 +92,11 @@ def arguments(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("names", nargs="*", metavar="NAME", help="(default: speed)")
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="(default 3)")
     parser.add_argument("--list", action="store_true", help="list the rows, and end")
+    parser.add_argument("--plants", type=Path, metavar="FOLDER", help="rows of honesty for each")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to FILE")
     given = parser.parse_args(words[beside:])
-    given.rows = chosen(given.names or ["speed"])
+    given.rows = chosen(given.names or ["speed"] * (given.plants is None))
+    given.rows += [] if given.plants is None else honesty.elsewhere_rows(given.plants)
     if not given.rows or given.rounds < 1:
         parser.error(f"{' '.join(given.names)}: no row found, or no round; --list lists the rows")
     try:

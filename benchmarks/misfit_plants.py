@@ -309,6 +309,7 @@ KINDS = (
             (0.001, "two_mass", "three_mass"),
             (0.002, "drill", "two_stops"),
             (0.004, "three_mass", "two_mass"),
+            (0.0003, "drill", "two_stops"),
         ),
     ),
     Kind(
