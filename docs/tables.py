@@ -87,7 +87,7 @@ def sample(node: str) -> str:
     """The YAML sample of a node: every parameter at its default."""
     lines = [
         f"# Parameters of the node `{node}`, at their defaults, made by ./dev docs.",
-        f"#   ros2 run impact_observer {node} --ros-args --params-file {node}.yaml",
+        f"#   {node} --ros-args --params-file {node}.yaml",
         f"#   ros2 launch impact_observer {node}.launch.py params_file:={node}.yaml",
         "# A double needs its point: 100.0, not 100.",
         "",

@@ -43,6 +43,8 @@ _SPARE = 4
 """Least surplus of stamps over unknowns that shows errors of a clock or a model."""
 _TOLD = 0.5
 """Deviation after a fit over that of the prior, below which impacts tell a parameter."""
+_USUAL = 0.95
+"""Part of the predicted errors of stamps that are not larger than what a misfit is told to be."""
 _MARKERS = "o^sDvx+*"
 
 
@@ -60,7 +62,8 @@ def shift_of(found: Identification) -> TimeShift:
     late, moments = found.fit.predicted, found.fit.problem.moments
     if found.verdict.fits or late.size < 2:
         return NO_SHIFT
-    return TimeShift(float(np.max(np.abs(late))), float(np.mean(moments.flights[1:])))
+    usual = float(np.quantile(np.abs(late), _USUAL))
+    return TimeShift(usual, float(np.mean(moments.flights[1:])))
 
 
 def report(found: Identification) -> Iterator[ReportLine]:

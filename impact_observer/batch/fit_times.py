@@ -129,5 +129,5 @@ def fit(
         clock_error=-1.0 if clock_error is None else clock_error,
         initial_deviation=suggested_deviation(read.system) or Options.initial_deviation,
     )
-    (run,) = smoothed_runs(read, events, options, known=found.motion)
+    (run,) = smoothed_runs(read, events, options, known=found.found)
     return FittedTimes(found, run)

@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.errors import DynamicsError
 from impact_observer.events import Contacts
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Vector
@@ -63,7 +64,13 @@ class Moments:
     """
 
     def __init__(self, start: Elapsed, each: Sequence[Moment]) -> None:
-        """Take the moments after ``start``; the first one may be at ``start``."""
+        """Take the moments after ``start``; the first one may be at ``start``.
+
+        Raises:
+            DynamicsError: there are none.
+        """
+        if not each:
+            raise DynamicsError("no motion of the model has any of these impacts")
         self.start, self.each = start, tuple(each)
         self.starts = (start, *(one.t for one in self.each[:-1]))
         flown = [one.t - t for one, t in zip(self.each, self.starts, strict=True)]

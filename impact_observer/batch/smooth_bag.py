@@ -75,6 +75,7 @@ def smooth_bag(
     measurements: Sequence[Measurement] = (),
     rate: float | None = None,
     known: Explanation | None = None,
+    text: str | None = None,
     progress: Progress = no_progress,
     tell: Callable[[str], object] = lambda _line: None,
 ) -> BagSmoothing:
@@ -88,6 +89,7 @@ def smooth_bag(
         measurements: measurements of sensors beside the impacts.
         rate: of the estimates, Hz; None for the stamps of the true states.
         known: the motion of the last run of the sender, where it was found before.
+        text: of the model that the result carries; None for that of the bag.
         progress: see ``Progress``.
         tell: called with a note on time zero, where no epoch is known.
 
@@ -124,8 +126,12 @@ def smooth_bag(
     left_out = [*samples.problems, *problems]
     if rate is None and (line := unseen_events(events, stamps)):
         left_out.append(line)
-    own = (*_ESTIMATES, _VERDICTS, _IMPACTS, _IMPACT_ESTIMATES)
+    own = [*_ESTIMATES, _VERDICTS, _IMPACTS, _IMPACT_ESTIMATES]
     with all_or_nothing(output) as writer:
+        if text is not None:
+            own.append(interfaces.PLANT_MODEL.topic)
+            writer.declare(own[-1])
+            writer.write(own[-1], events[0].stamp, bag_messages().model(text))
         topics, not_copied = carried_topics(reader, writer, own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
         estimates = _estimates(writer, model.subject.coordinates, runs, stamps, progress)

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from impact_observer import __version__
+from impact_observer.cli.arguments import TABLE, UNUSUAL_TABLE
 from impact_observer.errors import NotLinearError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.plain_text import printable
@@ -103,9 +104,11 @@ def _run(argv: Sequence[str]) -> int:
     args, unknown = parser.parse_known_args(_joined(argv))
     if unknown:
         words = " ".join(unknown)
-        subparsers.choices[args.command].error(
-            f"unrecognized arguments: {words}; CHANGELOG.rst has what went in 0.4.0"
-        )
+        why = "CHANGELOG.rst has what went in 0.4.0"
+        if unknown[0].removeprefix("--").partition("=")[0] in (*TABLE, *UNUSUAL_TABLE):
+            name, value = (*unknown[0].removeprefix("--").split("="), *unknown[1:], "true")[:2]
+            why = f"write table: {{{name.replace('-', '_')}: {value}}} into a file for --sources"
+        subparsers.choices[args.command].error(f"unrecognized arguments: {words}; {why}")
     if outputs := getattr(args, "outputs", ()):
         from impact_observer.output_files import check_outputs
 

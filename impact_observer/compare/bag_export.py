@@ -17,7 +17,7 @@ from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.io import interfaces
-from impact_observer.io.bag_part import time_zero
+from impact_observer.io.bag_part import TimeZero, time_zero
 from impact_observer.io.interfaces import absolute
 from impact_observer.io.reader import (
     BagReader,
@@ -126,17 +126,21 @@ def event_rows(reader: BagReader, progress: Progress) -> Iterator[TableBlock]:
 
 
 def impact_rows(
-    reader: BagReader, topics: Collection[str] | None, progress: Progress
+    reader: BagReader,
+    topics: Collection[str] | None,
+    progress: Progress,
+    zero: TimeZero | None = None,
 ) -> Iterator[TableBlock]:
     """The estimates of impacts, each number followed by its standard deviation, in SI units.
 
-    NaN stands for a deviation that a law does not have, and for all numbers of a rejected impact.
+    Times count from ``zero``; None for the time zero of the bag. NaN stands for a deviation that
+    a law does not have, and for all numbers of a rejected impact.
 
     Raises:
         UsageError: a topic is not in the bag.
         BagError: there are no estimates of impacts, or the bag is damaged.
     """
-    chosen, zero = named_impacts(reader, topics), time_zero(reader)
+    chosen, zero = named_impacts(reader, topics), zero or time_zero(reader)
     for done, topic in enumerate(chosen, start=1):
         rows = [*reader.impact_estimates(topic)]
         values, deviations = np.reshape([each[4:] for each in rows], (-1, 2, 4)).swapaxes(0, 1)

@@ -12,7 +12,7 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.input_files import check_input
 from impact_observer.io.bag_files import SOUND_FILES
-from impact_observer.io.bag_part import BagPart, TimeZero
+from impact_observer.io.bag_part import FILE_ZERO, BagPart, TimeZero
 from impact_observer.io.tables import Table, TableForm, read_table
 from impact_observer.plain_text import part_left_out
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, seconds_between, text
@@ -63,7 +63,7 @@ class Signal:
     @property
     def time_zero(self) -> TimeZero:
         """The file's time zero."""
-        return TimeZero(self.zero, "the file's time 0")
+        return TimeZero(self.zero, FILE_ZERO)
 
     def within(self, part: BagPart) -> "Signal":
         """The rows of a part."""

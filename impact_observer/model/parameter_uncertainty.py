@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well the parameters of a model are known: the covariance of their values."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from msgspec import UnsetType
@@ -65,14 +65,19 @@ class ParameterUncertainty:
         return dict(zip(self.names, self.deviations.tolist(), strict=True))
 
     def is_fitted_to(self, stamps: Iterable[int]) -> bool:
-        """Whether the values were fitted to impacts between whose stamps one of ``stamps`` lies.
+        """Whether the first or the last impact of the recording of the values is of ``stamps``.
 
-        Stamps are in ns.
+        Stamps are in ns. Recordings of other times may begin at the same stamp, as files do.
         """
-        if self.fitted_to is None:
-            return False
-        first, last = self.fitted_to
-        return any(first <= stamp <= last for stamp in stamps)
+        return not {*(self.fitted_to or ())}.isdisjoint(stamps)
+
+    def without(self, names: Collection[str]) -> "ParameterUncertainty | None":
+        """The deviations of other parameters than ``names``; None if there are none."""
+        kept = [k for k, name in enumerate(self.names) if name not in names]
+        if not kept:
+            return None
+        own = tuple(self.names[k] for k in kept)
+        return replace(self, names=own, covariance=self.covariance[np.ix_(kept, kept)])
 
     def correlation(self, names: Sequence[str]) -> Matrix:
         """The correlations of parameters; others than those of ``names`` have none.

@@ -43,11 +43,12 @@ def check_times(checked: ModelCheck, events: Sequence[ImpactEvent], recording: P
     usual = float(np.median(np.diff(stamps))) / NS_PER_S
     most = _PERIODS * 2 * np.pi / float(np.min(frequencies[frequencies > 0]))
     if usual > most:
-        fitting = (unit for unit in ("ms", "us", "ns") if usual * UNITS[unit] <= most * NS_PER_S)
+        fitting = [unit for unit in ("ms", "us", "ns") if usual * UNITS[unit] <= most * NS_PER_S]
+        unit = (*fitting, "ns")[0]
         raise UsageError(
             f"{recording}: {usual:.3g} s between two impacts found; expected at most {most:.3g} s,"
-            f" {_PERIODS:g} periods of the slowest motion of {system.name}: give --time-unit"
-            f" {next(fitting, 'ns')} if the times are in this unit"
+            f" {_PERIODS:g} periods of the slowest motion of {system.name}; if the times are in"
+            f" {unit}, write table: {{time_unit: {unit}}} into a file for --sources"
         )
 
 

@@ -27,6 +27,8 @@ _DEAD = 0.125
 """Dead time, relative to the shortest usual interval."""
 _NOISE = 3.0
 """Least height of a peak, in standard deviations of the noise."""
+_SILENT = 0.01
+"""Least height of a peak over the largest one, where silence is exact."""
 _QUIET = 0.2, 0.2533
 """Share of the samples that are quiet, and the largest of them in deviations of the noise."""
 _LOUD = 0.5
@@ -163,7 +165,8 @@ def choose_detection(
         baseline = _BASELINE if abs(offset) > noise else 0.0
     signal = values - offset if baseline else values
     height = {"up": signal, "down": -signal}.get(source.direction or "both", np.abs(signal))
-    top, floor = float(np.max(height)), _NOISE * noise
+    top = float(np.max(height))
+    floor = max(_NOISE * noise, _SILENT * top)
     if top <= floor:
         raise source.wrong(
             "threshold",

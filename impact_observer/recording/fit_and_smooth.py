@@ -20,6 +20,7 @@ from impact_observer.model import Model, parse_model
 from impact_observer.model.fit_verdict import FITS
 from impact_observer.model.free_parameters import parameters_beside, parametric_family
 from impact_observer.model.model_file import ModelText
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.model.yaml_text import edited
 from impact_observer.observer import Options
@@ -69,6 +70,12 @@ class FitTask:
         return (*names, *(name for name in self._phases if name not in names))
 
     @property
+    def prior(self) -> ParameterUncertainty | None:
+        """Deviations of the given values; of phases none that was found for another epoch."""
+        known = self.model.uncertainty
+        return None if known is None else known.without(self._phases)
+
+    @property
     def _phases(self) -> list[str]:
         """Names of the phases that are free because nothing says the epoch."""
         if self.knows_epoch:
@@ -88,8 +95,7 @@ class FitTask:
             The family of r parameters, and the change of each parameter of ``family`` by a unit
             of each of the r, shape (p, r).
         """
-        known = self.model.uncertainty
-        unknown = {*self._phases} - {*(() if known is None else known.names)}
+        unknown = {*self._phases}
         rows = dict[str | float, list[int]]()
         for k, each in enumerate(family.parameters):
             frequency = float(each.effect.phase @ family.system.forcing.frequency)
@@ -167,7 +173,8 @@ def fit_bag(
             _options(task, model),
             smoothed,
             rate=_rate(events),
-            known=None if identification is None else identification.motion,
+            known=None if identification is None else identification.found,
+            text=text,
             progress=step,
         )
     return FittedRecording(model, text, identification, failure, smoothing)
@@ -178,9 +185,6 @@ def _identified(
 ) -> tuple[Identification | None, str]:
     """Return the identification, if there is one, and why its values are of no use, if so."""
     model = task.model
-    prior = model.uncertainty
-    if prior is not None and prior.is_fitted_to(each.stamp for each in events):
-        prior = None
     family = parametric_family(replace(model.system, live=None), task.free, model.elements)
     together, changes = task.shifting_together(family)
     try:
@@ -191,7 +195,7 @@ def _identified(
             resolution=task.resolution,
             progress=lambda what: show(f"{family.system.name}: {what}"),
             mislabelled=task.mislabelled,
-            prior=prior,
+            prior=task.prior,
             sensors=model.sensors,
         )
     except (IdentificationError, DynamicsError) as error:

@@ -19,7 +19,7 @@ from impact_observer.draw.reports import figure
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.io import interfaces
-from impact_observer.io.bag_part import time_zero
+from impact_observer.io.bag_part import FILE_ZERO, TimeZero, time_zero
 from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import impact_estimates
@@ -108,7 +108,7 @@ def fit_recording(
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
         known = Task(recording, read, declared.sources, declared.form, zero, epoch)
         checked = check_model(read)
-        for text in model_warnings(checked):
+        for text in (*model_warnings(checked), *([read.misfit] if read.misfit else [])):
             say(f"warning: {text}")
         impacts = read_recording(known, Path(place) / "impacts", show)
         with BagReader(impacts.bag) as reader:
@@ -116,6 +116,8 @@ def fit_recording(
         check_times(checked, events, recording)
         for text in impacts.lines:
             say(text)
+        if read.uncertainty is not None and read.uncertainty.is_fitted_to(e.stamp for e in events):
+            say(f"warning: {model}: fitted to these impacts, which count twice now")
         for text in impacts.doubts:
             say(f"doubt: {text}")
         for text in doubtful_contacts(read.system, events):
@@ -153,9 +155,9 @@ def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list
     """Write table and picture; return the estimates of impacts."""
     system = fit.model.system
     with BagReader(folder / "smoothed") as reader:
-        write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], _silent))
+        zero = TimeZero(impacts.zero, FILE_ZERO) if impacts.zero else time_zero(reader)
+        write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], _silent, zero))
         hits = impact_estimates(reader)[_IMPACTS]
-        zero = time_zero(reader).stamp
         blocks = [
             (block.stamps, block.q, deviations_in(block)[:, : system.n])
             for _, block in reader.blocks([_STATES], system.coordinates, covariance=True)
@@ -165,7 +167,7 @@ def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list
     units = system.unit, unit_of("J", system.unit)
     title = f"{system.name} {'fits' if fit.fits else 'does not fit'}"
     signals = _signals(impacts)
-    picture = recording_picture(signals, motion, hits, zero=zero, units=units, title=title)
+    picture = recording_picture(signals, motion, hits, zero=zero.stamp, units=units, title=title)
     save(picture, folder / "motion.png")
     return hits
 
@@ -180,7 +182,8 @@ def _write_detection(impacts: RecordedImpacts, folder: Path, name: str) -> None:
     text = sources_text(impacts.sources)
     (folder / "sources.yaml").write_text(text, encoding="utf-8")
     title = f"{name} is being fitted"
-    picture = signal_picture(_signals(impacts), zero=impacts.epoch, title=title)
+    zero = impacts.zero or impacts.epoch
+    picture = signal_picture(_signals(impacts), zero=zero, title=title)
     save(picture, folder / "motion.png")
 
 
@@ -256,7 +259,7 @@ def _numbers(task: FitTask, fit: FittedRecording) -> Iterator[str]:
 def _motion(fit: FittedRecording, hits: Sequence[ImpactEstimate]) -> Iterator[str]:
     """Return a line on speeds and energies of all impacts."""
     own = [each for each in hits if each.ruling is not Ruling.REJECTED]
-    if not own:
+    if not own or fit.failure:
         return
     unit = fit.model.system.unit
     speed = np.array([each.speed_before for each in own])

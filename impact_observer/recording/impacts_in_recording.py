@@ -78,6 +78,7 @@ class RecordedImpacts:
         doubts: what may be wrong with the impacts.
         knows_epoch: whether the user or the recording says the epoch.
         epoch: stamp of ``t = 0``, ns; shortly before the first impact where nothing says it.
+        zero: stamp of time 0 of the file, ns; 0 of a bag.
         mislabelled: probability that an impact is reported for another contact.
         resolution: of printed times, or the time between samples, s; 0 if unknown.
         sources: declarations of the sensors that were used, complete.
@@ -90,6 +91,7 @@ class RecordedImpacts:
     doubts: Sequence[str]
     knows_epoch: bool
     epoch: int = 0
+    zero: int = 0
     mislabelled: float = Options.mislabelled
     resolution: float = 0.0
     sources: Sequence[Source] = ()
@@ -128,6 +130,7 @@ def read_recording(
         imported.remarks,
         task.epoch is not None,
         epoch=task.epoch or _before(imported.events),
+        zero=imported.start,
         resolution=seconds_between(0, int(np.gcd.reduce(times))),
     )
 
@@ -179,7 +182,8 @@ def _from_signal(task: Task, signal: Signal, bag: Path) -> RecordedImpacts:
     epoch = task.epoch or (start if task.model.system.depends_on_time else 0)
     found = detect_signal(signal, choice.sources, bag, model=task.model, epoch=epoch, traced=True)
     impacts = _found(task, bag, found, choice, epoch=epoch, knows_epoch=task.epoch is not None)
-    return replace(impacts, resolution=float(np.median(np.diff(signal.stamps))) / NS_PER_S)
+    interval = float(np.median(np.diff(signal.stamps))) / NS_PER_S
+    return replace(impacts, resolution=interval, zero=signal.zero)
 
 
 def _from_bag(task: Task, bag: Path) -> RecordedImpacts:

@@ -57,8 +57,8 @@ def silence(live: LiveSignals | None, now: int, timeout: float) -> str:
 class SampleIntake:
     """Gives the samples of sensors and live forces that a node receives to its observer.
 
-    Messages are polled, as thousands may come in a second. Where those of a robot come faster than
-    they can be used, some are shed, so that the newest are used in time.
+    Messages are polled, as thousands may come in a second. Where they come faster than they can be
+    used, some are shed evenly, so that the newest are used in time.
 
     Attributes:
         topics: absolute names of the topics.
@@ -149,7 +149,7 @@ class SampleIntake:
         self._on_samples(since, self._measured(()))
 
     def _use(self, samples: Sequence[_Sample]) -> None:
-        """Give samples to the observer; of too many of a robot, some."""
+        """Give samples to the observer; of too many, some."""
         since, revised = MAX_STAMP, list[Verdict]()
         for each in samples:
             if isinstance(each, LiveSample):
@@ -176,12 +176,11 @@ class SampleIntake:
         self._node.lines.error(f"{self._efforts}: {problem}")
 
     def _in_time(self, samples: Sequence[SensorSample]) -> Iterator[Sequence[SensorSample]]:
-        """Yields ``samples``; of a robot by instants, and of many those there is time for.
+        """Yields ``samples`` by instants, and of many those there is time for.
 
         What counts is the time that passes, as others may use the processor, too.
         """
-        if self._observer.robot is None or not samples:
-            yield from [samples] if samples else []
+        if not samples:
             return
         instants = [[*some] for _, some in groupby(samples, lambda each: each.stamp)]
         begin, used, i, last = time.monotonic(), 0, 0, len(instants) - 1

@@ -48,11 +48,11 @@ def test_a_contact_that_the_model_reaches_far_too_often_is_named(
 
 
 def test_times_in_another_unit_are_refused(events: list[ImpactEvent]) -> None:
-    """Milliseconds that are taken for seconds: the option that reads them is named."""
+    """Milliseconds that are taken for seconds: the key that reads them is named."""
     checked = check_model(read_model("two_mass"))
     check_times(checked, events, RECORDING)
     late = [replace(each, stamp=1000 * each.stamp) for each in events]
-    with pytest.raises(UsageError, match="--time-unit ms"):
+    with pytest.raises(UsageError, match="time_unit: ms"):
         check_times(checked, late, RECORDING)
 
 

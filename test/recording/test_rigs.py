@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""fit on times that were typed or printed, beside the speeds of the simulators that made them.
+
+``ball`` falls through air, with a drag that is quadratic, onto a racket whose restitution falls
+with the speed; its model has a damper instead, and does not fit. ``shaker`` is a mass on a spring
+that is shaken against a stop, with times of five digits. Both were integrated by DOP853.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from impact_observer.cli.main import main
+
+RIGS = Path(__file__).resolve().parent / "rigs"
+
+
+def fitted(name: str, model: Path, times: "pd.Series[str]", folder: Path) -> tuple[int, float]:
+    """Fit a rig; return the exit code, and which part of the speeds is right.
+
+    Speeds are right within two per cent or two deviations. Deviations are below a fifth.
+    """
+    table, output = folder / "times.txt", folder / "out"
+    table.write_text("\n".join([*times, ""]), "utf-8")
+    code = main(["fit", str(table), str(model), "-o", str(output)])
+    true = pd.read_csv(RIGS / f"{name}.csv", dtype={"time": str}).set_index("time").speed[times]
+    found = pd.read_csv(output / "impacts.csv")
+    assert len(found) == len(times)
+    assert np.max(np.abs(found.time_s - times.astype(float).to_numpy())) < 0.01
+    assert float(np.median(found.speed_before_deviation / found.speed_before)) < 0.2
+    error = np.abs(found.speed_before - true.to_numpy())
+    allowed = np.maximum(0.02 * true.to_numpy(), 2 * found.speed_before_deviation)
+    return code, float(np.mean(error <= allowed))
+
+
+def times_of(name: str) -> "pd.Series[str]":
+    """The printed times of a rig."""
+    return pd.read_csv(RIGS / f"{name}.csv", dtype=str).time
+
+
+def test_a_ball_in_air_has_right_speeds_though_its_model_does_not_fit(tmp_path: Path) -> None:
+    """The motion is that of the model as typed, not of one with another force."""
+    assert fitted("ball", RIGS / "ball.yaml", times_of("ball"), tmp_path) == (1, 1.0)
+
+
+def test_a_shaken_mass_with_printed_times_fits_at_an_unknown_phase(tmp_path: Path) -> None:
+    """Rounding to five digits is no evidence against a right model."""
+    assert fitted("shaker", RIGS / "shaker.yaml", times_of("shaker"), tmp_path) == (0, 1.0)
+
+
+@pytest.mark.parametrize("again", ["same", "other"])
+def test_a_fitted_model_is_fitted_again(
+    again: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To its own recording, which is said, and to another one, whose phase is another one."""
+    rig, times = tmp_path / "rig.yaml", times_of("shaker")
+    known = (RIGS / "shaker.yaml").read_text("utf-8")
+    rig.write_text(known.replace("0.55}", "{value: 0.6, deviation: 0.1}}"), "utf-8")
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    second.mkdir()
+    assert fitted("shaker", rig, times[:59], first)[0] == 0
+    capsys.readouterr()
+    later = times[:59] if again == "same" else times[59:]
+    assert fitted("shaker", first / "out" / "fitted.yaml", later, second) == (0, 1.0)
+    assert ("count twice" in capsys.readouterr().out) == (again == "same")
