@@ -157,6 +157,7 @@ class Bank(NamedTuple):
         reported: when each contact was reported to hit last, s since the epoch, shape (m,).
         doubted: events in a row after which the model was in error almost surely.
         ago: how long ago the replica holds, s: at the last event.
+        closed: contacts that the replica holds closed, as reported.
         contradicted: events for which the last contradiction is still told.
         farthest: innovation at that one, in standard deviations.
         is_expected: whether the last event was; then a restart at the next one is less likely.
@@ -176,6 +177,7 @@ class Bank(NamedTuple):
     late: float = 0.0
     contradicted: int = 0
     farthest: float = 0.0
+    closed: Contacts = ()
 
     @property
     def sizes(self) -> Vector:

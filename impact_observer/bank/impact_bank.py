@@ -4,7 +4,7 @@
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +42,10 @@ _SHORTEST = 1e-9
 """Shortest flight between two bounces, s."""
 _SMALL = 1e-12
 """Size of a motion that has none, m or m/s."""
+
+
+_Before: TypeAlias = tuple[Hypotheses, Vector | None, tuple[Elapsed, Elapsed, Contacts], Bank]
+"""Hypotheses, times of the forces' samples, two instants with contacts, and the prediction."""
 
 
 class DeclaredErrors(NamedTuple):
@@ -111,6 +115,7 @@ class ImpactBank:
         self.scan = numbers.scan * self.n
         missed_none = bool(np.all(self.log_missed == -math.inf))
         self._is_trusted = missed_none and self.priors.spurious == -math.inf
+        self._before: _Before | None = None
 
     def flights(self, constants: Vector) -> Flights:
         """Flights near these parameters and this delay, shape (N - 2n,)."""
@@ -135,7 +140,8 @@ class ImpactBank:
         rows = self._begun(x, root, held)
         never = np.full(self.m, -np.inf)
         size = np.where(self._size > _SMALL, self._size, deviations)
-        return Bank(t, rows, x.copy(), size**2 / 2, self._intensity(size), self.nominal, never)
+        bank = Bank(t, rows, x.copy(), size**2 / 2, self._intensity(size), self.nominal, never)
+        return bank._replace(closed=held)
 
     def _intensity(self, sizes: Vector) -> tuple[float, ...]:
         """Of the accelerations of a motion of some size, to a factor of two, or as declared."""
@@ -174,6 +180,21 @@ class ImpactBank:
         notes = objects([before.notes[before.best]] * rows.size)
         return rows._replace(logw=rows.logw + logw, notes=notes)
 
+    def before(self, bank: Bank, t: Elapsed, named: Contacts) -> Bank:
+        """The bank just before an event of the contacts ``named`` at ``t``.
+
+        The last one is kept: the estimate of an impact asks for it again.
+        """
+        sampled = self.family.system.forcing.sampled
+        forces = None if sampled is None else sampled.time  # replaced where samples come
+        if self._before is not None:
+            rows, known, asked, found = self._before
+            if rows is bank.rows and known is forces and asked == (bank.t, t, named):
+                return found
+        found = self.predicted(bank, t - bank.t, named)
+        self._before = bank.rows, forces, (bank.t, t, named), found
+        return found
+
     def predicted(self, bank: Bank, s: float, named: Contacts = ()) -> Bank:
         """The bank ``s`` seconds later, just before an event of the contacts ``named`` if any."""
         if s > 0:
@@ -196,7 +217,7 @@ class ImpactBank:
         s, flights = bank.ago, self.flights(bank.constants)
         start, replicas = bank.t + -s, np.tile(bank.replica, (2, 1))
         middle, replica = flights.mechanism.flown(
-            [start] * 2, replicas, np.array([s / 2, s]), ()
+            [start] * 2, replicas, np.array([s / 2, s]), bank.closed
         ).x
         bank = bank._replace(replica=replica, ago=0.0)
         return self._sized(bank, (middle**2 + replica**2) / 2, s)
@@ -234,10 +255,7 @@ class ImpactBank:
         Raises:
             ImpactLawError: the impact law has no solution on these contacts.
         """
-        alone = tuple(i for i in event.opened if i not in event.hit)
-        if alone:
-            rows = bank.rows._replace(held=bank.rows.held & ~bits(alone))
-            bank = bank._replace(rows=rows)
+        bank = self._opened(bank, event)
         if not event.hit:
             return bank
         rows, priors, numbers = bank.rows, self.priors, self.numbers
@@ -269,6 +287,8 @@ class ImpactBank:
                 stays = rows.take(order)._replace(logw=logw[order])
                 found.append(decided(stays, (event, bank.t), kind, sizes[order].tolist()))
         replica = flights.mechanism.struck(bank.replica, event.hit)
+        if bank.closed:
+            replica = flights.mechanism.stopped(replica, bank.closed)
         farthest = float(z[rows.best])
         is_expected = evidence - before >= math.log(self.rate) or self._trusts(farthest)
         if not (found and is_expected):
@@ -294,6 +314,14 @@ class ImpactBank:
         elif bank.contradicted:
             bank = bank._replace(contradicted=bank.contradicted - 1)
         return self._recentred(bank)
+
+    def _opened(self, bank: Bank, event: Event) -> Bank:
+        """The bank where contacts have opened that did not hit, with those that are closed now."""
+        bank = self._followed(bank) if bank.ago > 0 else bank
+        closed = tuple(sorted({*bank.closed, *event.closed} - {*event.opened}))
+        alone = bits(tuple(i for i in event.opened if i not in event.hit))
+        rows = bank.rows._replace(held=bank.rows.held & ~alone)
+        return bank._replace(rows=rows, closed=closed)
 
     def _trusts(self, z: float) -> bool:
         """Whether the sensor has no faults, and an innovation of ``z`` deviations is possible."""

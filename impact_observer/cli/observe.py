@@ -116,7 +116,7 @@ def parameters(model: "Model", observer: "Observer") -> "TextTable":
         for name, value, size in zip(family.names, family.nominal.tolist(), sizes, strict=True):
             declared = figure(value, deviation=size)
             rows[name] = [name + units.get(name, ""), declared, ""]
-    latest = observer.estimate(observer.last_event).parameters if observer.last_event else ()
+    latest = observer.estimate(observer.newest).parameters if observer.last_event else ()
     for name, value, size in latest:
         unit = model.system.unit if model.robot is None else ""
         row = rows.setdefault(name, [with_unit(name, unit), "", ""])
@@ -144,7 +144,7 @@ def remarks(
 
     law, samples_of = observer.law, observer.samples
     if unexplained := observer.remarks[Remark.MISFIT]:
-        latest = observer.estimate(observer.last_event).misfit
+        latest = observer.estimate(observer.newest).misfit
         yield f"at {counted(unexplained, 'event')} {latest or MISFIT}"
     rejected = rulings.get(Ruling.REJECTED, 0)
     judged = rejected + rulings.get(Ruling.APPLIED, 0)
@@ -179,7 +179,7 @@ def contradictions_of(observer: "Observer") -> Iterator[str]:
     from impact_observer.draw.reports import figure
     from impact_observer.observer.contradiction import contradictions
 
-    learned = observer.estimate(observer.last_event).parameters
+    learned = observer.estimate(observer.newest).parameters
     declared = observer.law.uncertainty.declared_constants
     for each in contradictions(learned, declared):
         found = figure(each.value, deviation=each.deviation)

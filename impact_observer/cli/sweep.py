@@ -40,6 +40,7 @@ _OF_OBSERVERS = (
     "initial_deviation",
     "clock_error",
     "model_error",
+    "clock_offset_error",
 )
 """Options of observers; the others have their defaults."""
 _SENSOR = "sensor_"

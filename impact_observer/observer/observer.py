@@ -30,7 +30,7 @@ from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_file import ModelSource, model_of
 from impact_observer.model.multibody import is_multibody
-from impact_observer.observer.belief import Prediction
+from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import EventKey, Switches
@@ -45,6 +45,7 @@ from impact_observer.observer.uncertainty import covariance_root, spread
 from impact_observer.observer.verdicts import IssuedVerdicts, Subject, with_outcome, with_reasons
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot
+from impact_observer.square_roots import lengths_of
 from impact_observer.stamps import (
     NS_PER_S,
     Elapsed,
@@ -592,7 +593,7 @@ class Observer:
         if root is not None:
             both, sizes = self._both_sides(entry, s, x, root, closed), self._mechanism.sizes(x, s)
             covariance = law.uncertainty.published_covariance(both, x, sizes)
-        doubt = None if root is None else law.doubt(belief, root)
+        doubt = None if root is None else self._doubt(belief, x, root, s)
         agrees = self._test.is_synchronized(entry.synchronization) if doubt is None else not doubt
         if self.system.frame is not None:
             x = self._from_frame(np.array([stamp]), x[None])[0]
@@ -630,6 +631,11 @@ class Observer:
         require_epoch(self.system, self.epoch)
         entry = timeline.entry_at(stamp)
         return entry, timeline.prediction(entry), seconds_between(entry.since, stamp)
+
+    def _doubt(self, belief: Belief, x: Vector, root: Matrix, s: float) -> str | None:
+        """Why a law doubts the state ``x`` away from impacts, ``s`` seconds after a belief."""
+        least = self.law.uncertainty.least_deviations(x, self._mechanism.sizes(x, s))
+        return self.law.doubt(belief, np.hypot(lengths_of(root), least))
 
     def _both_sides(
         self, entry: Entry, s: float, x: Vector, root: Matrix, closed: Contacts
@@ -750,7 +756,7 @@ class Observer:
         if prediction.silence(s):
             return "predicted impacts are not reported"
         root = prediction.root(s)
-        doubt = None if root is None else self.law.doubt(entry.belief, root)
+        doubt = None if root is None else self._doubt(entry.belief, prediction.state(s), root, s)
         return self._test.obstacle(entry.synchronization) if doubt is None else doubt
 
     def last_deviations(self) -> Vector | None:
@@ -832,6 +838,11 @@ class Observer:
     def last_event(self) -> int:
         """Stamp of the latest event applied, ns; 0 before the first."""
         return 0 if self.timeline is None else self.timeline.last_event
+
+    @property
+    def newest(self) -> int:
+        """The latest stamp of an event or a sample, ns; 0 before the first."""
+        return 0 if self.timeline is None else self.timeline.newest
 
     @property
     def missing(self) -> int:

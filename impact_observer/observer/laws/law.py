@@ -16,7 +16,7 @@ from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.readings import Reading, SampleOutcome
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.robots.robot import Robot
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
 
 class Law(ABC):
@@ -137,13 +137,13 @@ class Law(ABC):
         reason = f"{self.name} uses no measurements"
         return None, [SampleOutcome(0.0, -1.0, False, reason) for _ in readings]
 
-    def doubt(self, belief: Belief, root: Matrix) -> str | None:
+    def doubt(self, belief: Belief, deviations: Vector) -> str | None:
         """Why an estimate is not synchronized; empty if it is.
 
-        By default None: the agreement of replicas decides. ``root`` is that of the covariance,
-        shape (2n, 2n), some time after the ``belief``.
+        By default None: the agreement of replicas decides. The published ``deviations`` of (q, u)
+        hold some time after the ``belief``, away from impacts, shape (2n,).
         """
-        del belief, root
+        del belief, deviations
         return None
 
     @abstractmethod

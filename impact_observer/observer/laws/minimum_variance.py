@@ -180,7 +180,7 @@ class MinimumVariance(Law):
             delay += float(self._latency[change.contacts[0]])
         t = elapsed(change.t) + -delay
         if bank.rows.past.any() or prior.flown:
-            bank = self.filter.predicted(bank, t - bank.t, change.hit)
+            bank = self.filter.before(bank, t, change.hit)
         stay = tuple(i for i in change.hit if i in change.closed)
         opened = tuple(i for i in change.before if i not in change.closed)
         event = Event(change.hit, stay, opened, change.stamp, change.sequence)
@@ -231,23 +231,24 @@ class MinimumVariance(Law):
         prior, filter_, bank = prediction.bank, self.filter, (after or before).bank
         assert bank is not None, "a belief of this law"
         best = bank.rows.take([bank.rows.best])
-        rows = filter_.predicted(prior, change.flown + prior.late, change.hit).rows
+        late = prior.late if after is None else bank.late
+        t = elapsed(change.t) + -late
+        rows = filter_.before(prior, t, change.hit).rows
         event = change.stamp, change.sequence
         inserted = sum(n.is_inserted and n.event == event for n in best.notes[0]) if after else 0
         own = np.array([len(each) == inserted for each in rows.missed])
         rows = rows.take(own) if own.any() else rows
         x, root = filter_.gaussian(rows)
         row = best._replace(x=x[None], S=root[None], B=np.zeros_like(best.B))
-        late = 0.0 if after is None else bank.late
         held = tuple(i for i in change.before if i not in change.hit)
-        hit = Hit(elapsed(change.t) + -late, change.hit, held, held)
+        hit = Hit(t, change.hit, held, held)
         least = self.uncertainty.least_deviations(x[: 2 * self.system.n], bank.sizes)
         return filter_.balance(row, hit, least, prior.constants, inserted=after is None)
 
-    def doubt(self, belief: Belief, root: Matrix) -> str | None:
+    def doubt(self, belief: Belief, deviations: Vector) -> str | None:
         """Which deviation is too wide; empty if none is."""
         assert belief.bank is not None, "a belief of this law"
-        ratio = np.sqrt(np.einsum("ij,ij->i", root, root)) / belief.bank.sizes
+        ratio = deviations / belief.bank.sizes
         widest = int(np.argmax(ratio))
         if ratio[widest] <= _NARROW:
             return ""
