@@ -138,3 +138,15 @@ def test_an_impact_corrects_as_dense_conditioning_on_state_and_stamp_does() -> N
     size = np.sqrt(np.diag(expected))
     own = found.S[hit] @ found.S[hit].T
     assert own / np.outer(size, size) == pytest.approx(expected / np.outer(size, size), abs=1e-4)
+
+
+def test_what_lies_on_its_stop_has_no_larger_motion() -> None:
+    """The size of the motion of a ball at rest is that of the ball, not that of a fall."""
+    system = read_model("bouncing_ball").system
+    filter_ = ImpactBank(ParametricFamily(system, ()), DeclaredErrors(missed=0.05, spurious=0.05))
+    bank = filter_.begin(Elapsed(0), np.array([0.0, -0.1]), 0.01 * np.eye(2))
+    bank = filter_.after(bank, Event((0,), closed=(0,)))
+    for k in range(1, 11):
+        bank = filter_.predicted(bank, 2.0, (0,))._replace(t=Elapsed(2 * k * EPOCH))
+        bank = filter_.after(bank, Event((0,), closed=(0,)))
+    assert np.all(bank.sizes < 0.5)

@@ -299,3 +299,28 @@ def test_parameters_are_learned_from_samples_too(tmp_path: Path) -> None:
     value, deviation = found["stiffness-scale"]
     assert value == pytest.approx(1 / 1.03, abs=1e-3)
     assert abs(value - 1 / 1.03) < 4 * deviation
+
+
+def test_an_encoder_that_goes_on_after_the_last_impact_counts_to_its_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Samples push the last event out of the history; the command still says what was learned."""
+    end, times = 30.0, np.arange(0.0, 30.0, 0.25)
+    with BagReader(simulated(tmp_path, "plant", "--measurement-rate", "4")) as reader:
+        events = [each.stamp for each in reader.events()]
+    (tmp_path / "hits.csv").write_text(
+        "time,contact\n" + "".join(f"{stamp / 1e9},stop\n" for stamp in events)
+    )
+    rows = "".join(f"{1 + t},0.0\n" for t in times)
+    (tmp_path / "encoder.csv").write_text(f"time,x1\n{rows}")
+    sensor = "measurements: [{name: e, topic: /encoder, joint: x1, quantity: position"
+    (tmp_path / "rig.yaml").write_text(f"{sensor}, deviation: 1, gate: 1e6}}]\n")
+    given = ["--model", "two_mass", "--epoch", "1", "--time-zero", "0"]
+    samples = ["--samples", str(tmp_path / "encoder.csv")]
+    table, bag = str(tmp_path / "hits.csv"), str(tmp_path / "rig")
+    assert main(["import", table, *given, *samples, "-o", bag]) == 0
+    sensors = ["--measurements", str(tmp_path / "rig.yaml"), "--rate", "1"]
+    assert main(["observe", bag, *MINIMUM, *sensors, "-o", str(tmp_path / "observed")]) == 0
+    accepted = re.search(r"^e +(\d+) +(\d+)", capsys.readouterr().out, re.MULTILINE)
+    assert accepted is not None
+    assert accepted.groups() == (f"{4 * end:.0f}",) * 2
