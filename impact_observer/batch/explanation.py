@@ -39,6 +39,8 @@ _UNKNOWN_PHASE = 1.0
 """Deviation of a phase from which on all phases are tried, rad."""
 _FIRST_ROUNDS = 4
 """Linearisations by which phases are compared."""
+_NEAR_ROUNDS = 10
+"""Linearisations with parameters near the given ones, from which a search goes on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +162,9 @@ def _from_phases(
         if is_phase(name) and deviations[j] >= _UNKNOWN_PHASE
     ]
     if theta is not None or not unknown:
-        return fitted(problem, theta=theta, show=show)
+        narrow = np.diag(np.minimum(deviations, _SHARES[1] * family.sizes))
+        near = fitted(replace(problem, theta=narrow), theta=theta, rounds=_NEAR_ROUNDS, show=show)
+        return fitted(problem, near, theta=near.values, show=show)
     begun = []
     for turn in np.arange(_PHASES) * 2 * np.pi / _PHASES:
         start = family.nominal.copy()

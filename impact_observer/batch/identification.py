@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from impact_observer.batch.explanation import Explanation, explanation
@@ -208,11 +207,12 @@ def identify(
     values = found.fit.values
     turns = np.round((values - family.nominal) / (2 * np.pi))
     values = values - 2 * np.pi * np.where(turned, turns, 0.0)
-    honest = found.fit if found.verdict.fits else found.fit.published()
-    covariance = honest.covariance
-    if not found.verdict.fits and honest is found.fit:
-        covariance = _as_declared(covariance, problem.theta, _is_declared(problem))
-    return Identification(family, run, found, values, covariance, prior, causes)
+    honest = found.fit
+    if not found.verdict.fits:  # what no noise explains may be as large as its largest shift
+        shift = float(np.max(np.abs(honest.predicted), initial=honest.sizes.clock))
+        honest = honest.published(fits=False)
+        honest = replace(honest, sizes=honest.sizes._replace(clock=shift))
+    return Identification(family, run, found, values, honest.covariance, prior, causes)
 
 
 def prior_root(family: ParametricFamily, prior: ParameterUncertainty | None) -> Matrix:
@@ -234,30 +234,17 @@ def _check_enough(problem: BatchProblem) -> None:
     """Raise IdentificationError where a recording has fewer numbers than there are unknowns."""
     unknowns = 2 * problem.family.system.n + problem.family.size
     rows = problem.moments.row_moment.size + sum(len(each.t) for each in problem.samples)
-    if rows < unknowns - np.count_nonzero(_is_declared(problem)):
+    if rows < unknowns - _declared(problem):
         raise IdentificationError(
             f"{rows} impacts and samples for {unknowns} unknowns, the start among them; expected"
             " more impacts, fewer free parameters, or deviations of the values that are known"
         )
 
 
-def _is_declared(problem: BatchProblem) -> NDArray[np.bool_]:
-    """Return of which parameters a deviation is declared, shape (p,)."""
+def _declared(problem: BatchProblem) -> int:
+    """Return the number of parameters of which a deviation is declared."""
     spread = np.linalg.norm(problem.theta, axis=1)
-    return np.asarray(spread < 0.999 * _WIDE * problem.family.sizes)
-
-
-def _as_declared(covariance: Matrix, root: Matrix, declared: NDArray[np.bool_]) -> Matrix:
-    """Return a covariance of start and parameters with the prior's of ``declared`` parameters.
-
-    What no noise of impacts or flights explains, such as stamps that are late at one contact,
-    moves parameters by more than their standard errors.
-    """
-    found = np.array(covariance)
-    own = len(found) - declared.size + np.flatnonzero(declared)
-    found[own], found[:, own] = 0.0, 0.0
-    found[np.ix_(own, own)] = (root @ root.T)[np.ix_(declared, declared)]
-    return found
+    return int(np.sum(spread < 0.999 * _WIDE * problem.family.sizes))
 
 
 def _causes(fit: MotionFit, progress: Callable[[str], None]) -> tuple[Cause, ...]:

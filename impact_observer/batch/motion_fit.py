@@ -179,14 +179,14 @@ class MotionFit:
         deviation[:, d:] += _ROUNDING * self.problem.family.sizes
         return float(np.max(np.abs(self.change) / np.where(deviation > 0, deviation, np.inf)))
 
-    def published(self) -> "MotionFit":
+    def published(self, *, fits: bool) -> "MotionFit":
         """The same motion with noises as large as they may be, for honest deviations.
 
-        Where a recording shows an error of the model or a scatter of rebounds, the error of the
-        model is the largest one that is not much less likely, and counts twice: errors of models
-        persist from flight to flight, white noise does not.
+        Where a recording shows an error of the model or a scatter of rebounds, or the model does
+        not fit, the error of the model is the largest one that is not much less likely, and counts
+        twice: errors of models persist from flight to flight, white noise does not.
         """
-        if not self.sizes.model and not self.sizes.scatter:
+        if fits and not self.sizes.model and not self.sizes.scatter:
             return self
         largest = self.density.largest_model_error(self.sizes)
         return replace(self, sizes=self.sizes._replace(model=_PERSISTING * largest))

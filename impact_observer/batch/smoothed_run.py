@@ -49,7 +49,7 @@ class SmoothedRun:
     @cached_property
     def fit(self) -> MotionFit:
         """The motion, with noises as large as they may be."""
-        return self.found.fit.published()
+        return self.found.fit.published(fits=self.found.verdict.fits)
 
     @cached_property
     def verdicts(self) -> tuple[Verdict, ...]:
