@@ -86,15 +86,14 @@ def _identified(
     from impact_observer.io.measured_samples import joint_topics, samples_in
     from impact_observer.io.observed_bag import events_from
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.recordings import epoch_of, text_of_model
-    from impact_observer.model import parse_model
+    from impact_observer.io.recordings import epoch_of, model_of, text_of_model
     from impact_observer.model.free_parameters import parametric_family
     from impact_observer.model.measurement import read_measurements
 
     sensor = Options(dead_time=args.dead_time, mislabelled=args.mislabelled)
     with BagReader(args.bag) as reader, Progress() as progress:
         text = text_of_model(reader, args.model)
-        model, declared = parse_model(*text), read_measurements(args.measurements)
+        model, declared = model_of(reader, args.model), read_measurements(args.measurements)
         read_impacts_part(reader, args.start, args.duration, args.epoch, declared, tell=tell)
         events = events_from(reader, args.epoch)
         recorded = samples_in(reader, declared)

@@ -21,6 +21,8 @@ from impact_observer.input_files import open_input
 _STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 _SUFFIXES = {".bag", ".mcap", ".db3", ".yaml", ".zstd"}
 _FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
+FROM_ROS_1 = "messages of ROS 1: `rosbags-convert --src OLD.bag --dst NEW`"
+"""The remedy for a bag of ROS 1."""
 SOUND_FILES = (".wav", ".flac", ".ogg")
 """Suffixes of sounds."""
 SIGNAL_FILES = (".csv", ".txt", ".tsv", ".dat", ".lvm", *SOUND_FILES)
@@ -40,6 +42,8 @@ def storage_of(path: Path) -> str:
         if path.suffix in _STORAGES:
             return _STORAGES[path.suffix]
         remedy = "`import` makes one of a table of times, `detect` of a signal, as CSV or WAV"
+        if path.suffix == ".bag":
+            remedy = FROM_ROS_1
         raise UnfitBagError(f"{path}: not a bag; expected {_FORMS}; {remedy}")
     # A file that was compressed as a whole has two suffixes.
     suffixes = {each for file in path.iterdir() for each in file.suffixes}

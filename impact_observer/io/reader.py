@@ -34,6 +34,7 @@ from impact_observer.events import ImpactEstimate, ImpactEvent, Verdict
 from impact_observer.input_files import check_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_files import (
+    FROM_ROS_1,
     bag_files,
     has_end,
     recover_command,
@@ -572,8 +573,11 @@ class BagReader:
             raise
         except Exception as error:  # anything, in a damaged file
             reason = _reason(error)
-            is_apart = "files are missing" in reason
-            remedy = f"move them back, or {self._reindex}" if is_apart else self._recover
+            remedy = self._recover
+            if "files are missing" in reason:
+                remedy = f"move them back, or {self._reindex}"
+            elif "Profile is not ros2" in reason:
+                remedy = f"{FROM_ROS_1}; other messages: a table, for `import` or `detect`"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from impact_observer import __version__
-from impact_observer.errors import ImpactObserverError, UnfitBagError
+from impact_observer.errors import ImpactObserverError, ModelError, UnfitBagError
 from impact_observer.events import ImpactEstimate, ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
@@ -188,7 +188,11 @@ def model_of(reader: BagReader, model: str | None = None) -> Model:
         BagError: the bag has no model.
         UsageError, ModelError: the model cannot be read, or is not valid.
     """
-    return parse_model(*text_of_model(reader, model))
+    try:
+        return parse_model(*text_of_model(reader, model))
+    except ModelError as error:
+        remedy = "" if model else "; name another one with --model"
+        raise ModelError(error.key, error.problem + remedy) from None
 
 
 def events_in(reader: BagReader) -> list[ImpactEvent]:

@@ -69,6 +69,10 @@ def test_bags_with_keys_that_went_are_exported_plotted_and_observed(
     for words in (["export", "-o", "a.csv"], ["plot", "-o", "a.png"]):
         command, *output = [str(tmp_path / w) if "." in w else w for w in words]
         assert main([command, result, *output]) == 0
-    assert main(["compare", result]) == 2
-    assert "friction" in capsys.readouterr().err
+    capsys.readouterr()
+    for words in (["compare"], ["identify", "--free", "gap"]):
+        assert main([*words, result]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "friction" in line
+        assert "--model" in line
     assert main(["compare", result, "--model", "two_mass"]) == 0
