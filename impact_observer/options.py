@@ -196,7 +196,7 @@ class Options:
     )
     spurious: float = option(
         0.1,
-        "minimum-variance: probability that an event is a false positive",
+        "minimum-variance: probability (not a rate) that an event is a false positive",
         low=0.0,
         high=0.9,
     )

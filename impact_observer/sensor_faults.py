@@ -16,7 +16,7 @@ SENSOR_FAULTS = (
         0.0,
         1.0,
     ),
-    Option("spurious", 0.0, "rate of false positives, of any contact", "1/s", 0.0, 1e4),
+    Option("spurious", 0.0, "false positives a second (a rate), of any contact", "1/s", 0.0, 1e4),
     Option("mislabelled", 0.0, "probability that an event names another contact", "", 0.0, 1.0),
     Option(
         "clock_offset", 0.0, "time by which the clock of the sensor is ahead", "s", -3600.0, 3600.0

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     model = "write the model with the identified values, as YAML"
     add("-o", "--output", metavar="FILE", type=Path, help=model)
     start = "write the identified initial state into the model too"
-    add("--initial-state", action="store_true", help=start)
+    add("--write-start", action="store_true", help=start)
     parser.set_defaults(outputs=("output", "plot"))
 
 
@@ -142,15 +142,15 @@ def _written(
 
     if reason := why_useless(fit):
         return f"{args.output} is not written: {reason}", False
-    left_out = write_model(fit, given, args.bag, args.output, initial=args.initial_state)
+    left_out = write_model(fit, given, args.bag, args.output, initial=args.write_start)
     doubt = "" if fit.verdict.fits else "though it does not fit"
     return ", ".join(filter(None, [str(args.output), left_out, doubt])), not left_out
 
 
 def _check_usage(args: argparse.Namespace, free: tuple[str, ...]) -> None:
     """Raise UsageError before the work is done."""
-    if args.initial_state and args.output is None:
-        raise UsageError("--initial-state: written into the model, so -o is needed")
+    if args.write_start and args.output is None:
+        raise UsageError("--write-start: written into the model, so -o is needed")
     if args.check and (free or args.output):
         raise UsageError("--check identifies nothing; expected no --free and no -o beside it")
     if args.check and args.clock_error < 0:

@@ -43,7 +43,7 @@ def test_identified_parameters_are_printed_and_written(
     """The file reads as a model again, says where it is from, and keeps its comments."""
     output, plot = tmp_path / "identified.yaml", tmp_path / "identified.svg"
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution,gap"]
-    written = ["-o", str(output), "--initial-state"]
+    written = ["-o", str(output), "--write-start"]
     assert main([*words, *written, "--plot", str(plot)]) == 0
     said = capsys.readouterr().out
     assert "restitution.stop" in said
