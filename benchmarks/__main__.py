@@ -8,6 +8,7 @@
     ./dev bench beside FOLDER NAME...     this checkout and another one take turns
     ./dev bench walk                      which functions of the package an event calls
     ./dev bench reliability               plant, observer, detector, monitor, recorder under attack
+    ./dev bench mutants                   which changed operators and constants the tests find
 
 Medians of the rounds are printed. A ratio is the figure of this checkout over that of the other
 one in the same round, so that a slow spell of the machine hits both. Times are processor time,
@@ -112,7 +113,7 @@ def main(words: Sequence[str]) -> int:
     Returns:
         0; 1 where a command of a checkout failed; 2 for wrong use.
     """
-    if words and words[0] in ("walk", "reliability"):
+    if words and words[0] in ("walk", "reliability", "mutants"):
         return int(import_module(f"benchmarks.{words[0]}").main(words[1:]))
     given = arguments(words)
     if given.list:

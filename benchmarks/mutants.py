@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of fifty changed operators, constants and comparisons the tests of a room find.
+"""Which of 48 changed operators, constants and comparisons the tests of a room find.
 
 Each mutant changes one place of the code, in a copy of the repository. The tests of its room run
-there until one fails. ``python -m benchmarks.mutants --from 20`` goes on with mutant 20.
+there until one fails or the time is over. First they have to pass without a change.
+``./dev bench mutants --from 20`` goes on with mutant 20.
 """
 
 import argparse
@@ -13,13 +14,19 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("dynamics", "bank", "observer", "batch")
-COUNT, SEED = 50, 0
+TESTS = {
+    "dynamics": ["test/dynamics"],
+    "bank": ["test/bank", "test/observer"],
+    "observer": ["test/observer"],
+    "batch": ["test/batch"],
+}
+"""Rooms, and where their tests are."""
+EACH, SEED = 12, 0
 SWAPS: dict[type[ast.AST], Any] = {
     ast.Lt: ast.LtE,
     ast.LtE: ast.Lt,
@@ -82,25 +89,23 @@ def mutants() -> list[Mutant]:
     """The same number from each room, in an order that the seed gives."""
     made = []
     chance = random.Random(SEED)
-    for room in ROOMS:
+    for room in TESTS:
         files = sorted((ROOT / "impact_observer" / room).rglob("*.py"))
         found = [
             Mutant(room, file.relative_to(ROOT), place)
             for file in files
             for place in places(ast.parse(file.read_text(encoding="utf-8")))
         ]
-        made += chance.sample(found, COUNT // len(ROOMS))
+        made += chance.sample(found, EACH)
     return made
 
 
-def survives(mutant: Mutant, source: str, copy: Path, limit: float, jobs: str) -> bool:
-    """Whether the tests of the room pass in time with the changed source."""
-    original = (copy / mutant.path).read_bytes()
-    (copy / mutant.path).write_text(source, encoding="utf-8")
+def passes(room: str, copy: Path, limit: float, jobs: str) -> bool:
+    """Whether the tests of a room pass in time in a copy."""
     options = ["-x", "-q", "-n", jobs, "-p", "no:cacheprovider", "-m", "not ros and not long"]
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "pytest", *options, f"test/{mutant.room}"],
+            [sys.executable, "-m", "pytest", *options, *TESTS[room]],
             cwd=copy,
             env=os.environ | {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"},
             capture_output=True,
@@ -109,34 +114,41 @@ def survives(mutant: Mutant, source: str, copy: Path, limit: float, jobs: str) -
         )
     except subprocess.TimeoutExpired:
         return False
-    finally:
-        (copy / mutant.path).write_bytes(original)
     return done.returncode == 0
 
 
-def main() -> None:
-    """Run the mutants that were asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", type=int, nargs="+", metavar="N", help="these mutants only")
+def main(words: Sequence[str]) -> int:
+    """Run the mutants that were asked for.
+
+    Returns:
+        0; 1 where tests fail without a change.
+    """
+    parser = argparse.ArgumentParser(prog="./dev bench mutants", description=__doc__)
+    number = range(EACH * len(TESTS))
+    parser.add_argument("--only", type=int, nargs="+", choices=number, metavar="N", help="these")
     parser.add_argument("--from", dest="first", type=int, default=0, metavar="N", help="first one")
     parser.add_argument("--limit", type=float, default=600.0, metavar="S", help="time of each, s")
     parser.add_argument("--jobs", default="2", metavar="N", help="processes of pytest")
-    asked = parser.parse_args()
-    chosen, alive = asked.only or range(asked.first, COUNT), []
-    found = mutants()
+    asked = parser.parse_args(words)
+    found, alive = mutants(), []
+    chosen = asked.only or number[asked.first :]
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder, "copy")
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".*", "__pycache__", "build"))
-        for number in chosen:
-            mutant = found[number]
+        for room in dict.fromkeys(found[k].room for k in chosen):
+            if not passes(room, copy, asked.limit, asked.jobs):
+                print(f"{room}: its tests fail without a change", file=sys.stderr)
+                return 1
+        for k in chosen:
+            mutant = found[k]
             source = (ROOT / mutant.path).read_text(encoding="utf-8")
             text, what = changed(source, mutant.place)
-            survived = survives(mutant, text, copy, asked.limit, asked.jobs)
-            alive += [number] * survived
-            print(f"{number:2d} {'survived' if survived else 'killed  '} {mutant.path} {what}")
-            sys.stdout.flush()
+            (copy / mutant.path).write_text(text, encoding="utf-8")
+            survived = passes(mutant.room, copy, asked.limit, asked.jobs)
+            (copy / mutant.path).write_text(source, encoding="utf-8")
+            alive += [k] * survived
+            print(
+                f"{k:2d} {'survived' if survived else 'killed  '} {mutant.path} {what}", flush=True
+            )
     print(f"{len(chosen) - len(alive)} of {len(chosen)} killed; survived: {alive}")
-
-
-if __name__ == "__main__":
-    main()
+    return 0
