@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags: topics, messages, reader and writer, without ROS.
 
-Bags are read and written by ``rosbags``; nothing in this room imports ``rclpy``. The same tables
-and conversions serve the nodes, which bring their own message classes. The names below are
-imported when they are first used: comparisons without a bag need none of them.
+Bags are read by ``rosbags`` and written by ``mcap``; nothing in this room imports ``rclpy``. The
+same tables and conversions serve the nodes, which bring their own message classes. The names
+below are imported when they are first used: comparisons without a bag need none of them.
 """
 
 from importlib import import_module

@@ -23,7 +23,7 @@ from impact_observer.io.writer import BagWriter
 from impact_observer.process_end import Interrupt, Stop
 from impact_observer.ros.parameters import TABLES, check
 from impact_observer.ros.recorder import Recorder, drain
-from impact_observer.ros.session import ros_node, spin_once
+from impact_observer.ros.session import ros_node, spin_once, warning_of
 from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.ros.wiring import (
     DISCOVERY,
@@ -97,10 +97,11 @@ def run(
     os.environ.setdefault(DISCOVERY, LOCAL)  # nobody else's nodes, on no other machine
     bag, logs = folder / "bag", folder / "logs"
     with Stop() as stop, ros_node("demo", use_sim_time=True) as (node, executor):
+        warn = warning_of(node)
 
         def spin(what: str) -> None:
             """Let messages in; raise the error of a process that failed, or a signal."""
-            spin_once(executor, node, _SPIN)
+            spin_once(executor, warn, _SPIN)
             processes.check()
             if stop.requested:
                 raise Interrupt(stop.number, what)

@@ -19,7 +19,7 @@ from impact_observer.io.typestores import installed_definition, typestore
 from impact_observer.io.writer import BagWriter
 from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
-from impact_observer.ros.session import ros_node, spin_once
+from impact_observer.ros.session import ros_node, spin_once, warning_of
 from impact_observer.ros.topics import (
     common_offer,
     message_class,
@@ -196,10 +196,11 @@ def record(
         for topic in topics or ():
             resolved(node, topic)  # before the bag is made
         with BagWriter(path) as writer:
+            warn = warning_of(node)
             recorder = Recorder(node, writer, topics, on_topic=on_topic)
             begin = now = shown = time.monotonic()
             while not stop.requested and (duration is None or now < begin + duration):
-                spin_once(executor, node, _DISCOVERY_PERIOD)
+                spin_once(executor, warn, _DISCOVERY_PERIOD)
                 if (now := time.monotonic()) > shown + _DISCOVERY_PERIOD:
                     shown = now
                     on_progress(writer.message_count, now - begin)

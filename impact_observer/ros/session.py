@@ -2,13 +2,12 @@
 """ROS in a command: the check that ROS can be used, one node, and spinning."""
 
 import os
-import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.plain_text import printable
 
 if TYPE_CHECKING:
@@ -107,22 +106,33 @@ def ros_node(
 
 
 def spin_once(
-    executor: "SingleThreadedExecutor", node: "Node", timeout: float | None = None
+    executor: "SingleThreadedExecutor",
+    note: Callable[[Exception], object],
+    timeout: float | None = None,
+    ends_by: tuple[type[Exception], ...] = (ImpactObserverError, OSError),
 ) -> None:
-    """Spin ``executor`` once; warn of a time before zero on ``/clock``, and ignore that time.
+    """Spin once; an error that is none of ``ends_by`` is noted, and ends nothing.
+
+    rclpy converts requests, messages and the time on ``/clock`` outside of callbacks, so that no
+    callback could guard against what others send.
 
     Args:
-        executor: the executor of ``node``.
-        node: the node that logs the warning.
+        executor: the executor of a node.
+        note: called with the error.
         timeout: longest time to wait for work, s; None for any time.
+        ends_by: errors that are raised.
     """
+    from rclpy.executors import ExternalShutdownException
+
     try:
         executor.spin_once(timeout_sec=timeout)
-    except (ValueError, OverflowError) as error:
-        frames = traceback.walk_tb(error.__traceback__)
-        if all(frame.f_globals.get("__name__") != "rclpy.time_source" for frame, _ in frames):
-            raise
-        node.get_logger().warning(
-            printable(f"/clock: a time that is none is ignored ({error})"),
-            throttle_duration_sec=5.0,
-        )
+    except (ExternalShutdownException, *ends_by):
+        raise
+    except Exception as error:  # noqa: BLE001 (nothing else ends a node)
+        note(error)
+
+
+def warning_of(node: "Node") -> Callable[[Exception], object]:
+    """A function that logs an error as a warning of ``node``, every five seconds at most."""
+    log = node.get_logger()
+    return lambda error: log.warning(printable(str(error)), throttle_duration_sec=5.0)

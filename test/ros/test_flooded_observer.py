@@ -63,5 +63,8 @@ def test_estimates_go_on_while_a_flood_of_events_is_worked_on(
         spinner.until(lambda: told.get("waiting") == "0")
     silences = [b - a for a, b in pairwise([each for each in received if each > begin - 0.1])]
     assert max(silences) < MOST_SILENCE
-    assert int(told["events applied"]) > 100
-    assert int(told["dropped"]) >= 0
+    keys = ("events applied", "dropped", "missing sequence numbers")
+    applied, dropped, missing = (int(told[key]) for key in keys)
+    assert applied > 100
+    assert applied + dropped <= COUNT + 1  # the queue of the middleware loses events, too
+    assert applied + missing > 0.99 * COUNT

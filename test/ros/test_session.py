@@ -3,6 +3,7 @@
 
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -12,7 +13,7 @@ from processes import refusal, spinning
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import DynamicsError, UsageError
 from impact_observer.options import Option
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode
@@ -60,27 +61,21 @@ def test_security_is_not_asked_for_or_enforced(
 
 
 @pytest.mark.ros
-def test_a_time_before_zero_on_the_clock_is_ignored(
-    ros_environment: dict[str, str],
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+def test_an_error_is_noted_unless_the_node_ends_by_it(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A warning is logged; the same error of other code is raised."""
+    """Such as of rclpy, for a time on ``/clock`` that is none."""
     assert ros_environment
-    of_clock: dict[str, object] = {"__name__": "rclpy.time_source"}
-    source = "def spin_once(timeout_sec=None):\n    raise ValueError('must not be negative')\n"
-    exec(source, of_clock)
-    of_others: dict[str, object] = {"__name__": "elsewhere"}
-    exec(source, of_others)
-    with spinning() as spinner:
+    noted: list[Exception] = []
+    with spinning():
         executor = SingleThreadedExecutor()
-        monkeypatch.setattr(executor, "spin_once", of_clock["spin_once"])
-        spin_once(executor, spinner.probe)
-        monkeypatch.setattr(executor, "spin_once", of_others["spin_once"])
-        with pytest.raises(ValueError, match="negative"):
-            spin_once(executor, spinner.probe)
+        for error in (ValueError("must not be negative"), DynamicsError("no motion")):
+            monkeypatch.setattr(executor, "spin_once", Mock(side_effect=error))
+            spin_once(executor, noted.append, ends_by=())
+            assert noted.pop() is error
+        with pytest.raises(DynamicsError):
+            spin_once(executor, noted.append, ends_by=(DynamicsError,))
         executor.shutdown()
-    assert "/clock: a time that is none is ignored" in capfd.readouterr().err
 
 
 @pytest.mark.ros
