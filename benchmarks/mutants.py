@@ -27,20 +27,13 @@ TESTS = {
 }
 """Rooms, and where their tests are."""
 EACH, SEED = 12, 0
-SWAPS: dict[type[ast.AST], Any] = {
-    ast.Lt: ast.LtE,
-    ast.LtE: ast.Lt,
-    ast.Gt: ast.GtE,
-    ast.GtE: ast.Gt,
-    ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq,
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-    ast.And: ast.Or,
-    ast.Or: ast.And,
-}
+PAIRS: list[tuple[type[ast.AST], type[ast.AST]]] = [
+    *((ast.Lt, ast.LtE), (ast.Gt, ast.GtE), (ast.Eq, ast.NotEq)),
+    *((ast.Add, ast.Sub), (ast.Mult, ast.Div), (ast.And, ast.Or)),
+]
+SWAPS: dict[type[ast.AST], Any] = dict([*PAIRS, *((b, a) for a, b in PAIRS)])
+LIMIT = 600.0
+"""Time of the tests of a room, s."""
 
 
 class Mutant(NamedTuple):
@@ -100,7 +93,7 @@ def mutants() -> list[Mutant]:
     return made
 
 
-def passes(room: str, copy: Path, limit: float, jobs: str) -> bool:
+def passes(room: str, copy: Path, jobs: str) -> bool:
     """Whether the tests of a room pass in time in a copy."""
     options = ["-x", "-q", "-n", jobs, "-p", "no:cacheprovider", "-m", "not ros and not long"]
     try:
@@ -109,7 +102,7 @@ def passes(room: str, copy: Path, limit: float, jobs: str) -> bool:
             cwd=copy,
             env=os.environ | {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"},
             capture_output=True,
-            timeout=limit,
+            timeout=LIMIT,
             check=False,
         )
     except subprocess.TimeoutExpired:
@@ -127,7 +120,6 @@ def main(words: Sequence[str]) -> int:
     number = range(EACH * len(TESTS))
     parser.add_argument("--only", type=int, nargs="+", choices=number, metavar="N", help="these")
     parser.add_argument("--from", dest="first", type=int, default=0, metavar="N", help="first one")
-    parser.add_argument("--limit", type=float, default=600.0, metavar="S", help="time of each, s")
     parser.add_argument("--jobs", default="2", metavar="N", help="processes of pytest")
     asked = parser.parse_args(words)
     found, alive = mutants(), []
@@ -136,7 +128,7 @@ def main(words: Sequence[str]) -> int:
         copy = Path(folder, "copy")
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".*", "__pycache__", "build"))
         for room in dict.fromkeys(found[k].room for k in chosen):
-            if not passes(room, copy, asked.limit, asked.jobs):
+            if not passes(room, copy, asked.jobs):
                 print(f"{room}: its tests fail without a change", file=sys.stderr)
                 return 1
         for k in chosen:
@@ -144,7 +136,7 @@ def main(words: Sequence[str]) -> int:
             source = (ROOT / mutant.path).read_text(encoding="utf-8")
             text, what = changed(source, mutant.place)
             (copy / mutant.path).write_text(text, encoding="utf-8")
-            survived = passes(mutant.room, copy, asked.limit, asked.jobs)
+            survived = passes(mutant.room, copy, asked.jobs)
             (copy / mutant.path).write_text(source, encoding="utf-8")
             alive += [k] * survived
             print(
