@@ -41,6 +41,12 @@ EPOCH = 5 * NS_PER_S
 """An epoch that is not zero, ns."""
 
 
+def state_matrix(model: System) -> Array:
+    """``A`` of ``d(q, u)/dt = A (q, u)``."""
+    stiff, damped = (np.linalg.solve(model.M, part) for part in (model.K, model.C))
+    return np.block([[np.zeros_like(stiff), np.eye(model.n)], [-stiff, -damped]])
+
+
 def examples(count: int) -> settings:
     """Settings with the same ``count`` examples on every machine; a part of them on request."""
     part = int(os.environ.get("FEWER_EXAMPLES", "1"))  # as ./dev test sets it

@@ -60,7 +60,7 @@ def stepped(model: System, position: Array, velocity: Array, h: float, seconds: 
 
 def _pushed(model: System, inverse: Array, free: Array, gamma: Array, active: list[int]) -> Array:
     """The velocities after the impulses of some of the ``active`` contacts: all are tried."""
-    rebound = model.rebound(gamma)
+    rebound = np.array([law.rebound(g) for law, g in zip(model.rebounds, gamma, strict=True)])
     some = chain.from_iterable(combinations(active, k) for k in range(len(active) + 1))
     for pressing in map(list, some):
         W = model.W[:, pressing]

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.model import Forcing
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix
 
 
 class Equations(Protocol):
@@ -63,25 +63,3 @@ class Factor:
         if not B.size:
             return B
         return np.asarray(linalg.lapack.dtrtrs(self.lower, B, lower=1, trans=trans)[0])
-
-
-def state_matrix(system: Equations) -> Matrix:
-    """``A`` of ``dx/dt = A x + b(t)``, ``x = (q, u)``, shape (2n, 2n)."""
-    n = system.n
-    A = np.zeros((2 * n, 2 * n))
-    A[:n, n:] = np.eye(n)
-    A[n:, :n] = -linalg.solve(system.M, system.K, assume_a="pos")
-    A[n:, n:] = -linalg.solve(system.M, system.C, assume_a="pos")
-    return A
-
-
-def balanced(A: Matrix) -> tuple[Matrix, Vector]:
-    """The state matrix of ``x unit`` with positions in units of velocity, and ``unit``.
-
-    The entries of the matrix are rates, and the norm is about the fastest rate. So a matrix
-    exponential needs no more squarings than the motion has oscillations. Shapes: (2n, 2n), (2n,).
-    """
-    n = len(A) // 2
-    rate = max(np.sqrt(np.linalg.norm(A[n:, :n], 1)), np.linalg.norm(A[n:, n:], 1)) or 1.0
-    unit = np.concatenate([np.full(n, rate), np.ones(n)])
-    return np.asarray(unit[:, None] * A / unit), unit

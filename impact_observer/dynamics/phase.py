@@ -108,20 +108,6 @@ class Phase:
         """``transition`` by many times, shape (K,), s: shape (K, 2n, 2n)."""
         return self.flow.transitions(s)
 
-    def moved(self, t: float, x: Vector, s: float) -> tuple[Vector, Matrix]:
-        """State (q, u) and ``transition`` ``s`` seconds after or, where negative, before ``x``.
-
-        Args:
-            t: s since the epoch, of ``x``.
-            x: state (q, u), shape (2n,), with nothing fixed.
-            s: seconds; where negative the caller checks that there is forcing so far back.
-        """
-        if s >= 0:
-            return self.flow.start(t, x).state(s), self.flow.transition(s)
-        # Run forward from x, started s earlier; the difference to x is then carried back.
-        now, back = self.flow.start(t + s, x).state(-s), self.flow.transition(s)
-        return x + back.dot(x - now), back
-
 
 class Phases:
     """All phases of one system, each prepared when first needed.

@@ -264,10 +264,6 @@ class Tangent:
         """``X`` of ``u+ = u- - X gamma-``, which stops the contacts ``pressed``, shape (n, k)."""
         return self._stops(pressed)[0]
 
-    def impulse(self, contact: int) -> Vector:
-        """What an impulse that changes the speed of a contact by 1 m/s adds, shape (2n,)."""
-        return np.concatenate([np.zeros(self.n), self.stops((contact,))[:, 0]])
-
     def _made(self, parts: Sequence[tuple[int, Elapsed, float]], held: Contacts) -> Maps:
         """Return flights without a knot within: number, start, and duration of each."""
         flow, p, d = self.phase(held).flow, self.p, 2 * self.n

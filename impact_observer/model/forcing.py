@@ -136,17 +136,6 @@ class Forcing:
             return knots
         return np.union1d(knots, start + self.squares.switches(start, stop - start))
 
-    def mapped(self, T: Matrix) -> "Forcing":
-        """The forcing ``T f(t)``, for ``T`` of shape (r, n); r may be 0."""
-        return Forcing(
-            T @ self.constant,
-            self.frequency,
-            self.cosine @ T.T,
-            self.sine @ T.T,
-            None if self.sampled is None else self.sampled.mapped(T),
-            None if self.squares is None else self.squares.mapped(T),
-        )
-
     def plus(self, constant: Vector) -> "Forcing":
         """The forcing ``f(t) + constant``, shape (n,)."""
         return replace(self, constant=self.constant + constant)

@@ -102,10 +102,6 @@ class SquareWaves:
             found.update(range(start, stop, half))
         return np.array([(each - now) / _S for each in sorted(found)])
 
-    def mapped(self, T: Matrix) -> "SquareWaves":
-        """The waves of ``T f``, for ``T`` of shape (r, n)."""
-        return SquareWaves(self.frequency, self.phase, self.force @ T.T)
-
     def plus(self, other: "SquareWaves") -> "SquareWaves":
         """These waves and the waves of ``other``."""
         return SquareWaves(

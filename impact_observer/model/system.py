@@ -297,13 +297,6 @@ class System:
         """Gaps in ``states`` (q, u), (samples, 2n), at ``ns`` since the epoch, (samples, m)."""
         return np.asarray(states[:, : self.n] @ self.W + self.q_r + self.gap_motion(ns))
 
-    def rebound(self, gamma: Vector) -> Vector:
-        """``r`` of all contacts at speeds ``gamma``, shape (m,), m/s; see ``ReboundLaw``."""
-        rebounds: Vector = self.eps * gamma
-        for i in self.special:
-            rebounds[i] = self.rebounds[i].rebound(gamma[i])
-        return rebounds
-
     def is_plain(self, contacts: Collection[int]) -> bool:
         """Whether all ``contacts`` rebound by a constant coefficient."""
         return self.special.isdisjoint(contacts)

@@ -8,18 +8,12 @@ import pytest
 from hypothesis import given
 from numpy.typing import NDArray
 from scipy import optimize
-from systems import Harmonic, chain, examples, forcing, sample, system, systems
+from systems import Harmonic, chain, examples, forcing, sample, state_matrix, system, systems
 
 from impact_observer.check.model_check import ModelCheck, check_model
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
-
-
-def state_matrix(model: System) -> Array:
-    """``A`` of ``d(q, u)/dt = A (q, u)``."""
-    stiff, damped = (np.linalg.solve(model.M, part) for part in (model.K, model.C))
-    return np.block([[np.zeros_like(stiff), np.eye(model.n)], [-stiff, -damped]])
 
 
 def eigenvalues(checked: ModelCheck) -> Array:

@@ -17,11 +17,11 @@ from systems import (
     forcing,
     numbers,
     sample,
+    state_matrix,
     system,
     systems,
 )
 
-from impact_observer.dynamics.equations import state_matrix
 from impact_observer.model import System
 
 Array = NDArray[np.float64]

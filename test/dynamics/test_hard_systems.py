@@ -13,9 +13,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse.linalg import expm_multiply
-from systems import Harmonic, chain, examples, flow_of, forcing, numbers, system, systems, vectors
+from systems import (
+    Harmonic,
+    chain,
+    examples,
+    flow_of,
+    forcing,
+    numbers,
+    state_matrix,
+    system,
+    systems,
+    vectors,
+)
 
-from impact_observer.dynamics.equations import state_matrix
 from impact_observer.model import Forcing, System
 
 Array = NDArray[np.float64]

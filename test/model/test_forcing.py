@@ -104,23 +104,6 @@ def test_bound_holds_up_to_the_next_knot(data: st.DataObject) -> None:
         assert bound(k, fine).shape == fine.shape
 
 
-@examples(30)
-@given(st.data())
-def test_mapped_forcing_is_the_map_of_the_forcing(data: st.DataObject) -> None:
-    """Values, derivatives, knots and end, also onto no coordinate at all."""
-    n, r = data.draw(st.integers(1, 3)), data.draw(st.integers(0, 3))
-    f, T = data.draw(any_forcing(n)), data.draw(matrices(r, n))
-    shift = data.draw(vectors(r))
-    mapped = f.mapped(T).plus(shift)
-    t = np.linspace(-1.0, f.end, 7)
-    found, expected = mapped.derivatives(t, 2), f.derivatives(t, 2) @ T.T
-    expected[0] += shift
-    np.testing.assert_allclose(found, expected, atol=1e-11)
-    assert mapped.end == f.end
-    assert mapped.knots(-1.0, 9.0).tolist() == f.knots(-1.0, 9.0).tolist()
-    assert mapped.bound(np.eye(r))(0, t).shape == t.shape
-
-
 def test_last_sample_is_held_and_nothing_is_before_the_first() -> None:
     """An error in one line names the instant and where the samples begin."""
     for hold in ("previous", "linear"):

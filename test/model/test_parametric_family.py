@@ -70,7 +70,7 @@ def test_the_parameters_of_a_ground_change_a_flight_as_systems_beside() -> None:
         step, ends = 1e-6 * size, []
         for sign in (1, -1):
             other = family.system_at(family.nominal + sign * step * np.eye(family.size)[j])
-            ends.append(Phases(other).phase(()).moved(t, x, s)[0])
+            ends.append(Phases(other).phase(()).flow.start(t, x).state(s))
         slope = (ends[0] - ends[1]) / (2 * step)
         np.testing.assert_allclose(exact[:, j], slope, rtol=1e-6, atol=1e-8)
 

@@ -133,21 +133,6 @@ class ImpactLaw:
         """
         return np.asarray(self._kicks[contact])
 
-    def jump(self, pressed: Sequence[int], restitution: Vector | None = None) -> Matrix:
-        """``J`` of ``u+ = J u-``, shape (n, n), where exactly the contacts ``pressed`` take part.
-
-        Of contacts that depend on each other the least impulses are taken. ``restitution``, shape
-        (m,), of any size, is used instead of the law's; of that only the nominal values count.
-        """
-        P = list(pressed)
-        B, W = self._B[:, P], self.system.W[:, P]
-        rebound = 1.0 + (self._eps if restitution is None else restitution)[P]
-        if len(P) == 1:  # divided last: along one coordinate it is zero where nothing rebounds
-            x, w = self._Minv_W[:, P[0]], W[:, 0]
-            return np.asarray(np.eye(len(W)) - np.outer(x * rebound, w) / w.dot(x))
-        share = linalg.lstsq(B.T @ B, np.diag(rebound) @ W.T)[0] if P else W.T
-        return np.asarray(np.eye(len(W)) - self._Minv_W[:, P] @ share)
-
     def stops(self, pressed: Sequence[int]) -> Matrix:
         """``X`` of ``u+ = u- - X gamma-``, which stops the contacts ``pressed``, shape (n, k)."""
         P = list(pressed)

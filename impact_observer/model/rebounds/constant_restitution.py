@@ -45,11 +45,6 @@ class ConstantRestitution(ReboundLaw):
         return {"restitution": self.restitution}
 
     @property
-    def text(self) -> str:
-        """The coefficient."""
-        return f"{self.restitution:g}"
-
-    @property
     def nominal(self) -> float:
         """``eps``."""
         return self.restitution

@@ -70,11 +70,6 @@ class PowerLaw(ReboundLaw):
         return {"restitution": self._numbers}
 
     @property
-    def text(self) -> str:
-        """The power with its limit."""
-        return f"{self.value:g} (v/{self.speed:g})^{self.exponent:g}, at most {self.limit:g}"
-
-    @property
     def nominal(self) -> float:
         """The restitution at ``speed``."""
         return self.value

@@ -75,11 +75,6 @@ class ReboundLaw(ABC):
 
     @property
     @abstractmethod
-    def text(self) -> str:
-        """The law in a few words."""
-
-    @property
-    @abstractmethod
     def nominal(self) -> float:
         """A usual coefficient of restitution, where no speed is known."""
 

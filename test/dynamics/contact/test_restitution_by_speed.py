@@ -100,7 +100,8 @@ def test_several_contacts_have_complementary_impulses_by_their_own_speeds(
     law, u = ImpactLaw(model), data.draw(vectors(model.n))
     impulses = law.impulses(u, (0, 1))
     gamma = model.contact_speed(u)
-    xi = delassus(model) @ impulses + gamma + model.rebound(gamma)
+    rebound = [each.rebound(g) for each, g in zip(model.rebounds, gamma, strict=True)]
+    xi = delassus(model) @ impulses + gamma + rebound
     size = 1e-9 * (1 + float(np.max(np.abs(gamma))))
     assert np.all(impulses >= 0)
     assert np.all(xi >= -size)
