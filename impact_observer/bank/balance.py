@@ -8,14 +8,11 @@ parameters, such as a restitution, and by an error of the impulse.
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.bank.bank import Array, Hypotheses
+from impact_observer.bank.bank import Hypotheses
 from impact_observer.bank.correct import Hit, corrected
 from impact_observer.bank.predict import Flights
-from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
+from impact_observer.dynamics.contact.impact_balance import ImpactBalance, uncertain_balance
 from impact_observer.states import Vector
-
-_STEP = 1e-3
-"""Step of a finite difference, in standard deviations."""
 
 
 def balance_of(
@@ -39,33 +36,17 @@ def balance_of(
     root, own = stamped.root[0], back.x[0]
     rate = mechanism.rates([hit.t + -float(stamped.v[0])], back.x, hit.held)[0]
     errors = back.Phi[0] @ root[:d] + back.Gamma[0] @ root[d:-1] - np.outer(rate, root[-1])
-    errors = np.hstack([errors, np.diag(least)])
-    active = tuple(sorted({*hit.held, *hit.contacts}))
+    active, n = tuple(sorted({*hit.held, *hit.contacts})), d // 2
     gaps = mechanism.gaps(own)
-    gamma, theta = gaps.gamma[list(active)], stamped.x[0, d : d + p]
-    pressed = mechanism.pressed(own, active, hit.contacts)
+    W, gamma = gaps.W[list(active)], gaps.gamma[list(active)]
+    values, deviations = uncertain_balance(
+        lambda theta: mechanism.near(own, theta),
+        active,
+        mechanism.pressed(own, active, hit.contacts),
+        gamma=gamma,
+        theta=stamped.x[0, d : d + p],
+        root=np.block([[W @ errors[n:], W * least[n:]], [root[d : d + p], np.zeros((p, n))]]),
+        scatter=float(flights.ladders.kicks[row.r[0]]) * np.abs(gamma),
+    )
     rows = [active.index(i) for i in hit.contacts]
-
-    def values(z: Vector) -> Array:
-        system = mechanism.near(own, z[2 * len(active) :])
-        beside = z[len(active) : 2 * len(active)][[active.index(i) for i in pressed]]
-        found: Array = impact_balance(system, active, pressed, z[: len(active)], beside)[rows]
-        return found
-
-    kicks = np.diag(float(flights.ladders.kicks[row.r[0]]) * np.abs(gamma))
-    wide = np.zeros((2 * len(active) + p, errors.shape[1] + len(active)))
-    W = gaps.W[list(active)]
-    wide[: len(active), : errors.shape[1]] = W @ errors[d // 2 :]
-    wide[len(active) : 2 * len(active), errors.shape[1] :] = kicks
-    wide[2 * len(active) :, : root.shape[1]] = root[d : d + p]
-    z = np.concatenate([gamma, np.zeros(len(active)), theta])
-    moved = np.zeros((len(rows), 4, wide.shape[1]))
-    for j, deviation in enumerate(np.linalg.norm(wide, axis=1).tolist()):
-        if deviation <= 0:
-            continue
-        step = np.zeros(z.size)
-        step[j] = max(_STEP * deviation, 1e-6 * abs(z[j]))
-        slope = (values(z + step) - values(z - step)) / (2 * step[j])
-        moved += slope[:, :, None] * wide[j]
-    deviations = np.linalg.norm(moved, axis=2)
-    return ImpactBalance(values(z), deviations, float(stamped.v[0]))
+    return ImpactBalance(values[rows], deviations[rows], float(stamped.v[0]))

@@ -12,7 +12,7 @@ from impact_observer.batch.explanation import Explanation
 from impact_observer.batch.motion_fit import MotionFit
 from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.smoothed_states import own_instants, smoothed_states
-from impact_observer.dynamics.contact.impact_balance import impact_balance
+from impact_observer.dynamics.contact.impact_balance import uncertain_balance
 from impact_observer.events import ImpactEstimate, Ruling, SmoothedImpact, Verdict
 from impact_observer.observer.impact_sides import EXACT, REACH, side_error
 from impact_observer.observer.uncertainty import Uncertainty
@@ -23,8 +23,6 @@ LAW = "smoother"
 """The name of the law in estimates of the smoother."""
 _AT_ONCE = 512
 """States that are computed at once."""
-_STEP = 1e-3
-"""Step of a difference, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,30 +123,22 @@ class SmoothedRun:
         rate = fit.tangent.rates([t + late], there[None], before)[0][0]
         moved = (to.Phi[0] + np.outer(rate, fit.motion.own_late_by_x[k])) @ root[:d]
         moved += to.Gamma(x[None])[0] @ root[d:]
-        W, c = system.W[:, list(active)].T, len(active)
-        gamma = W @ there[n:]
-        scatter = fit.sizes.scatter * np.abs(gamma)
+        W = system.W[:, list(active)].T
+        gamma, theta = W @ there[n:], fit.tangent.theta
         least = self.uncertainty.least_deviations(there, fit.tangent.phases.scales.sizes(there))
-        roots = np.zeros((2 * c + family.size, root.shape[1] + c + n))
-        roots[:c, : root.shape[1]] = W @ moved[n:]
-        roots[c : 2 * c, root.shape[1] : root.shape[1] + c] = np.diag(scatter)
-        roots[:c, root.shape[1] + c :] = W * least[n:]
-        roots[2 * c :, : root.shape[1]] = root[d:]
-
-        def values(z: Vector) -> Matrix:
-            own = family.near(z[2 * c :]) if np.any(z[2 * c :] != theta) else system
-            taking = [active.index(i) for i in pressed]
-            balance = impact_balance(own, active, pressed, z[:c], z[c : 2 * c][taking])
-            return balance[[active.index(i) for i in hit]]
-
-        theta = fit.tangent.theta
-        z, spread = np.concatenate([gamma, np.zeros(c), theta]), np.linalg.norm(roots, axis=1)
-        change = np.zeros((len(hit), 4, roots.shape[1]))
-        for j in np.flatnonzero(spread > 0).tolist():
-            step = max(_STEP * spread[j], 1e-9 * abs(z[j]))
-            less, more = (z + sign * step * np.eye(z.size)[j] for sign in (-1, 1))
-            change += ((values(more) - values(less)) / (2 * step))[:, :, None] * roots[j]
-        return values(z), np.linalg.norm(change, axis=2)
+        values, deviations = uncertain_balance(
+            lambda own: family.near(own) if np.any(own != theta) else system,
+            active,
+            pressed,
+            gamma=gamma,
+            theta=theta,
+            root=np.block(
+                [[W @ moved[n:], W * least[n:]], [root[d:], np.zeros((family.size, n))]]
+            ),
+            scatter=fit.sizes.scatter * np.abs(gamma),
+        )
+        rows = [active.index(i) for i in hit]
+        return values[rows], deviations[rows]
 
     def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
         """The states at ``stamps``, ns, ascending; none before the start.

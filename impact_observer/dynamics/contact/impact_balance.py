@@ -6,13 +6,18 @@ does the work ``1/2 (gamma_i- + gamma_i+) Lambda_i``. The sum over all contacts 
 the kinetic energy, in a frame in which the stops rest.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
+
+_STEP, _LEAST_STEP = 1e-3, 1e-6
+"""Step of a finite difference in standard deviations, and the least one in parts of a number."""
 
 
 class ImpactBalance(NamedTuple):
@@ -54,7 +59,8 @@ def impact_balance(
         active: contacts that are closed at the instant, ascending.
         pressed: those of ``active`` that take an impulse, whatever the signs of their speeds.
         gamma: relative speeds of ``active`` before, shape (k,), m/s, positive where a gap opens.
-        beside: what those of ``pressed`` rebound with beside the law's speeds, shape (k,), m/s.
+        beside: what those of ``pressed`` rebound with beside the law's speeds, shape (k,), m/s; of
+            other contacts it counts for nothing.
 
     Returns:
         One row of ``active`` each, as ``ImpactBalance.values`` has them, shape (k, 4).
@@ -70,3 +76,43 @@ def impact_balance(
     impulses[taking] = np.linalg.pinv(G[np.ix_(taking, taking)], hermitian=True) @ change[taking]
     after = gamma + G @ impulses
     return np.column_stack([-gamma, after, impulses, -(gamma + after) / 2 * impulses])
+
+
+def uncertain_balance(
+    near: Callable[[Vector], System],
+    active: Contacts,
+    pressed: Contacts,
+    *,
+    gamma: Vector,
+    theta: Vector,
+    root: Matrix,
+    scatter: Vector,
+) -> tuple[Matrix, Matrix]:
+    """The balance of an impact, and standard deviations of its numbers, by finite differences.
+
+    Args:
+        near: the system of parameters ``theta``, else as ``system`` of :func:`impact_balance`.
+        active: as of :func:`impact_balance`.
+        pressed: as of :func:`impact_balance`.
+        gamma: as of :func:`impact_balance`.
+        theta: the parameters, shape (p,).
+        root: of the covariance of (gamma, theta), shape (k + p, any).
+        scatter: standard deviations of what ``active`` rebound with beside the law, (k,), m/s.
+
+    Returns:
+        Values and deviations, one row of ``active`` each, shape (k, 4).
+    """
+    k, end = len(active), len(active) + theta.size
+    roots = linalg.block_diag(root, np.diag(scatter))
+
+    def values(z: Vector) -> Matrix:
+        return impact_balance(near(z[k:end]), active, pressed, z[:k], z[end:])
+
+    z = np.concatenate([gamma, theta, np.zeros(k)])
+    moved = np.zeros((k, 4, roots.shape[1]))
+    for j, deviation in enumerate(np.linalg.norm(roots, axis=1).tolist()):
+        if deviation > 0:
+            step = max(_STEP * deviation, _LEAST_STEP * abs(z[j])) * np.eye(z.size)[j]
+            slope = (values(z + step) - values(z - step)) / (2 * step[j])
+            moved += slope[:, :, None] * roots[j]
+    return values(z), np.linalg.norm(moved, axis=2)
