@@ -37,6 +37,7 @@ class SourceKeys(Keys, frozen=True, kw_only=True):
 
 class _Sources(Keys, frozen=True):
     sources: Annotated[tuple[SourceKeys, ...], Meta(min_length=1)]
+    table: dict[str, object] | UnsetType = UNSET  # how ``detect`` and ``fit`` read a table
 
 
 def read_sources(path: str | Path) -> tuple[Source, ...]:

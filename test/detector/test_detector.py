@@ -289,12 +289,13 @@ def test_a_mistake_in_a_file_is_one_line_that_names_it(
 
 
 def test_the_sample_file_is_a_switch_at_its_defaults(tmp_path: Path) -> None:
-    """The sample file has the default values."""
+    """The sample file has the default values; ``table``, of ``detect``, changes nothing."""
     (source,) = read_sources("switch")
     plain = Source("stop", "switch").complete(BOOL)
     assert source.complete(BOOL) == plain
     copied = tmp_path / "mine.yaml"
-    copied.write_text("sources: [{contact: stop, topic: switch}]", encoding="utf-8")
+    text = "sources: [{contact: stop, topic: switch}]\ntable: {time_unit: ms}\n"
+    copied.write_text(text, encoding="utf-8")
     assert read_sources(copied)[0].complete(BOOL) == plain
 
 
