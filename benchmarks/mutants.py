@@ -3,7 +3,6 @@
 
 Each mutant changes one place of the code, in a copy of the repository. The tests of its room run
 there until one fails or the time is over. First they have to pass without a change.
-``./dev bench mutants --from 20`` goes on with mutant 20.
 """
 
 import argparse
@@ -32,8 +31,6 @@ PAIRS: list[tuple[type[ast.AST], type[ast.AST]]] = [
     *((ast.Add, ast.Sub), (ast.Mult, ast.Div), (ast.And, ast.Or)),
 ]
 SWAPS: dict[type[ast.AST], Any] = dict([*PAIRS, *((b, a) for a, b in PAIRS)])
-LIMIT = 600.0
-"""Time of the tests of a room, s."""
 
 
 class Mutant(NamedTuple):
@@ -102,7 +99,7 @@ def passes(room: str, copy: Path, jobs: str) -> bool:
             cwd=copy,
             env=os.environ | {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"},
             capture_output=True,
-            timeout=LIMIT,
+            timeout=600.0,
             check=False,
         )
     except subprocess.TimeoutExpired:
@@ -119,11 +116,9 @@ def main(words: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="./dev bench mutants", description=__doc__)
     number = range(EACH * len(TESTS))
     parser.add_argument("--only", type=int, nargs="+", choices=number, metavar="N", help="these")
-    parser.add_argument("--from", dest="first", type=int, default=0, metavar="N", help="first one")
     parser.add_argument("--jobs", default="2", metavar="N", help="processes of pytest")
     asked = parser.parse_args(words)
-    found, alive = mutants(), []
-    chosen = asked.only or number[asked.first :]
+    found, alive, chosen = mutants(), [], asked.only or number
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder, "copy")
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".*", "__pycache__", "build"))
