@@ -29,7 +29,6 @@ from impact_observer.observer.readings import DeclaredSensor, Reading, SampleOut
 from impact_observer.observer.synchronization import Synchronization, SynchronizationTest
 from impact_observer.stamps import Elapsed, seconds_between, text
 from impact_observer.states import Matrix
-from impact_observer.turns import give_turn
 
 MOST_EVENTS = 5000
 """Events of the history that are kept, whatever its length."""
@@ -224,7 +223,6 @@ class Timeline:
         made = [self.entries[first - 1]]
         every = sorted([*(entry.key for entry in self.entries[first:]), *new])
         for _, of_stamp in groupby(every, key=attrgetter("stamp")):
-            give_turn()
             made += self._after(made[-1], [*of_stamp])
             yield
         del made[0]

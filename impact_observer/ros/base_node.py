@@ -8,7 +8,6 @@ import time
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 import rclpy
@@ -41,13 +40,11 @@ from impact_observer.process_end import Stop, one_line
 from impact_observer.ros import parameters
 from impact_observer.ros.intake import Receiver
 from impact_observer.ros.session import refusals_of_ros, spin_once
-from impact_observer.ros.topics import message_class, qos_profile, ros_messages, waiting_messages
+from impact_observer.ros.topics import message_class, qos_profile, ros_messages
 
 _PAUSE, _MOST_KINDS, _OTHERS = 10.0, 20, "other lines"
 """How long further log lines of a kind are only counted, s; kinds meanwhile, as strangers may name
 contacts; and the kind of the lines for which there is no room."""
-_MOST_CLOCKS = 100
-"""Messages of the clock that are taken at once."""
 _OF_ROS = {"/rosout", "/parameter_events", "/clock", DIAGNOSTIC_ARRAYS.name}
 """Topics that every node has."""
 _LOOK_PERIOD = 5.0
@@ -210,14 +207,6 @@ class BaseNode(LifecycleNode):
     def repeat(self, period: float, callback: Callable[[], None]) -> Timer:
         """Call ``callback`` every ``period`` seconds of a steady clock."""
         return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def take_clock(self) -> None:
-        """Set the node's clock by what has come on ``/clock``, while nothing is spun."""
-        for each in self.subscriptions:
-            if each.topic_name == SIMULATED_CLOCK.name:
-                for message, _ in waiting_messages(each, _MOST_CLOCKS):
-                    with suppress(ValueError, OverflowError):  # a time that is none
-                        each.callback(message)
 
     def when_clock_jumps_back(self, callback: Callable[[], None]) -> None:
         """Call ``callback`` after a backward jump of the clock, as of a bag that is looped."""

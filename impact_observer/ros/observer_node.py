@@ -28,23 +28,19 @@ from impact_observer.observer.misfit import EXPLAINED
 from impact_observer.options import OBSERVER_OPTIONS, Options, Value
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode, without_numbers
-from impact_observer.ros.event_intake import MOST_WAITING, EventIntake, Judged
+from impact_observer.ros.event_intake import EventIntake, Judged
 from impact_observer.ros.intake import Receiver
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.ros.sample_intake import SampleIntake, silence
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
-from impact_observer.turns import turns_given_to
 
 MOST_DUE = 20
 """Estimates that are published together, such as after a jump of simulated time."""
 _POLL_PERIOD = 0.05
 """How often samples are taken, s; they are before estimates and events, too."""
 _TURN = 0.05
-"""How long an event may take to be applied until predictions are published meanwhile, s.
-
-The same processor time is for the predictions that are due together.
-"""
+"""Processor time for the predictions that are due together, s."""
 _LARGE_INNOVATION = 6.0
 """Innovation, in standard deviations, up to which the declared uncertainty explains an event."""
 _BRIEF = 0.01
@@ -96,8 +92,8 @@ class ObserverNode(BaseNode):
         self.intake = EventIntake(self.observer, self._counts)
         self._go_on = self.create_guard_condition(self._apply_events)
         self._receive()
-        self._next_turn = self._rests_until = 0.0
-        self._is_turn = self._went_back = self._is_due = False
+        self._rests_until = 0.0
+        self._is_due = False
         self._waits_for: tuple[str, ...] = ()
         self.serve(Trigger, "~/reset", self._on_reset)
         self.serve(SetState, "~/set_state", self._on_set_state)
@@ -221,27 +217,22 @@ class ObserverNode(BaseNode):
         if not self.intake.is_busy:
             return
         self._apply(self.intake.apply_waiting())
-        if self._went_back:
-            self._went_back = False
-            self._on_clock_back()
         if self.intake.is_busy:
             self._go_on.trigger()
 
     def _apply(self, received: Iterable[Judged]) -> None:
         """Publish the estimate that events correct, then their verdicts."""
         pending, is_corrected = [], False
-        self._next_turn = time.monotonic() + _TURN
-        with turns_given_to(self._meanwhile):
-            for event, verdicts in received:
-                if (restarts := self.observer.restarts) > self._restarts:
-                    self._restarts, is_corrected = restarts, False
-                    self._forget_estimates()
-                    self.lines.warning(
-                        f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
-                    )
-                late = event.stamp <= self._last_stamp
-                is_corrected |= late and any(each.ruling is Ruling.APPLIED for each in verdicts)
-                pending.append((event, verdicts, late))
+        for event, verdicts in received:
+            if (restarts := self.observer.restarts) > self._restarts:
+                self._restarts, is_corrected = restarts, False
+                self._forget_estimates()
+                self.lines.warning(
+                    f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
+                )
+            late = event.stamp <= self._last_stamp
+            is_corrected |= late and any(each.ruling is Ruling.APPLIED for each in verdicts)
+            pending.append((event, verdicts, late))
         if is_corrected:
             self._correct_from(0)
         for event, verdicts, late in pending:
@@ -251,20 +242,6 @@ class ObserverNode(BaseNode):
             self._publish_verdicts(self._with_lag_reason(verdicts) if late else verdicts, latency)
         if self.observer.samples.sensors:  # samples that came while events were inserted
             self._samples.use_waiting()
-
-    def _meanwhile(self) -> None:
-        """Take messages and publish predictions while an event takes long to be applied."""
-        begin = time.monotonic()
-        if begin < self._next_turn:
-            return
-        self._is_turn = True
-        self.take_clock()
-        for each in self._impacts.arrived(MOST_WAITING):
-            self.intake.take(each)
-        self._publish_due()
-        self._is_turn = False
-        end = time.monotonic()
-        self._next_turn = end + max(_TURN, end - begin)  # at least half of the time is for events
 
     def _correct_from(self, stamp: int) -> None:
         """Publish the last estimate again if knowledge has changed from ``stamp`` (ns) on."""
@@ -380,9 +357,6 @@ class ObserverNode(BaseNode):
 
     def _on_clock_back(self) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""
-        if self._is_turn:  # once the event is applied
-            self._went_back = True
-            return
         self.intake.clear()
         for each in self.receivers:
             each.clear()

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates that are asked for while an event is being applied."""
+"""Batches of events, and estimates that are asked for while a batch is worked on."""
 
 import numpy as np
 
-from impact_observer.events import ImpactEvent, Switch
+from impact_observer.events import ImpactEvent, Switch, Verdict
 from impact_observer.model import read_model
 from impact_observer.observer import Observer, Options, make_observer
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, grid
 from impact_observer.states import Estimate
-from impact_observer.turns import turns_given_to
 
 EPOCH = 1_000_000_000
 SILENCE = 20 * NS_PER_S
@@ -28,25 +27,24 @@ def observer_after_silence() -> tuple[Observer, list[ImpactEvent]]:
     return observer, [ImpactEvent(each, (Switch("stop"),), epoch=EPOCH) for each in stamps]
 
 
-def test_predictions_may_be_asked_for_while_an_event_is_applied() -> None:
+def test_predictions_may_be_asked_for_while_a_batch_is_worked_on() -> None:
     """They are those of before the event, and change neither the event's effect nor each other."""
     observer, late = observer_after_silence()
     other, _ = observer_after_silence()
-    seen, stamp = list[Estimate](), EPOCH + SILENCE + NS_PER_S
-    before = other.estimate(stamp)
-
-    def look() -> None:
-        seen.append(observer.estimate(stamp))
-
-    for event in late:
-        with turns_given_to(look):
-            verdicts = observer.receive(event)
-        assert [each[:5] for each in verdicts] == [each[:5] for each in other.receive(event)]
+    stamp = EPOCH + SILENCE + NS_PER_S
+    seen, before, rulings = list[Estimate](), other.estimate(stamp), list[Verdict]()
+    for step in observer.receiving(late):
+        if step is None:
+            seen.append(observer.estimate(stamp))
+        else:
+            rulings += step[1]
+    wanted = [each for event in late for each in other.receive(event)]
+    assert [each[:5] for each in rulings] == [each[:5] for each in wanted]
     assert len(seen) == len(late)
     assert np.array_equal(seen[0].q, before.q)
-    mine, wanted = observer.estimate(stamp), other.estimate(stamp)
-    assert mine.q.tobytes() == wanted.q.tobytes()
-    assert mine.covariance.tobytes() == wanted.covariance.tobytes()
+    mine, theirs = observer.estimate(stamp), other.estimate(stamp)
+    assert mine.q.tobytes() == theirs.q.tobytes()
+    assert mine.covariance.tobytes() == theirs.covariance.tobytes()
 
 
 def test_events_of_a_batch_that_is_given_up_may_be_given_again() -> None:
