@@ -26,13 +26,13 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S
 
 _QUALITY = Quality(reliable=False, depth=2000)
 """Of a sensor's topic: the samples of 2 s at 1 kHz may wait."""
-_LONGEST = 0.05
+_LONGEST = 0.25
 """Time that the samples of one call may take, s; of more samples some are shed."""
 _SHARE = 1 / 3
 """The same over the time since the call before: so that a backlog becomes shorter, though
 estimates take as long again.
 """
-_FEW = 20
+_FEW = 50
 """Instants of a call whose samples are used without a look at their cost."""
 _COUNTED = 20
 """Samples from which on the rate of a sensor is known."""
