@@ -698,7 +698,8 @@ class Observer:
     def impact(self, verdict: Verdict) -> ImpactEstimate | None:
         """The estimate of an impact that a ``verdict`` just received applies or inserts.
 
-        Returns None for a release, and where the event is in the past that is kept no longer.
+        That of a rejected event, or of an inserted impact that was none, has no numbers. Returns
+        None for a release, and where the event is in the past that is kept no longer.
 
         Raises:
             ImpactLawError: the impact law has no solution.
@@ -709,11 +710,17 @@ class Observer:
             return None
         reported, hit = map(names.index, contacts)
         stamp, entry = verdict.stamp, None
+        found = timeline.around(stamp, verdict.sequence, reported)
+        if verdict.ruling is Ruling.REJECTED:
+            kinds = ((reported, Kind.IMPACT),) if found is None else found[1].key.switches
+            if all(i != reported or kind is Kind.OPEN for i, kind in kinds):
+                return None
+            return ImpactEstimate(stamp, verdict.contact, verdict.ruling, verdict.sequence)
         if verdict.ruling is Ruling.INSERTED:
             before, hits = timeline.entry_at(stamp), {hit}
             held = timeline.prediction(before).closed(seconds_between(before.since, stamp))
             closed = before.closed if held is None else held
-        elif (found := timeline.around(stamp, verdict.sequence, reported)) is not None:
+        elif found is not None:
             before, entry = found
             closed, kinds = before.closed, entry.key.switches
             hits = {hit if i == reported else i for i, kind in kinds if kind is not Kind.OPEN}

@@ -85,6 +85,7 @@ class ObserverNode(BaseNode):
         self._states = self.publisher(interfaces.OBSERVER_STATES)
         self._joint_states = self.publisher(interfaces.OBSERVER_JOINT_STATES)
         self._verdicts = self.publisher(interfaces.OBSERVER_VERDICTS)
+        self._estimated_impacts = self.publisher(interfaces.OBSERVER_IMPACTS)
         self._bounds = self.publisher(interfaces.OBSERVER_BOUND)
         self._judged_samples = self.publisher(interfaces.OBSERVER_MEASUREMENTS)
         self._diagnostics = ObserverDiagnostics(self.status, self.observer)
@@ -266,6 +267,17 @@ class ObserverNode(BaseNode):
             self._diagnostics.count(verdict, large=verdict.innovation > _LARGE_INNOVATION)
             self._log(verdict)
             self.publish(self._verdicts, self.make.verdict, verdict, latency)
+            self._publish_impact(verdict)
+
+    def _publish_impact(self, verdict: Verdict) -> None:
+        """Publish the estimate of the impact that a verdict applies, inserts or rejects."""
+        try:
+            impact = self.observer.impact(verdict)
+        except Exception as error:  # noqa: BLE001 (the node goes on without this estimate)
+            self.lines.error(f"no estimate of an impact of {verdict.contact}: {error}")
+            return
+        if impact is not None:
+            self.publish(self._estimated_impacts, self.make.impact_estimate, impact)
 
     def _with_lag_reason(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
         """``verdicts`` on an event that is late in spite of a lag, with the lag as reason."""

@@ -130,6 +130,16 @@ def test_openings_that_are_rejected_are_no_impacts() -> None:
     assert rejected_impacts(ruled, [event]) == [ImpactEstimate(EPOCH, "b", Ruling.REJECTED, 1)]
 
 
+def test_an_impact_that_is_rejected_has_an_estimate_without_numbers() -> None:
+    """So has an inserted one that was none; a release has no estimate."""
+    observer = make_observer(sample("two_mass"), Options("geometric"))
+    for k, kind in enumerate((Kind.IMPACT, Kind.OPEN), start=1):
+        observer.receive(ImpactEvent(EPOCH + k, (Switch("stop", kind),), k, epoch=EPOCH))
+    no = [Verdict(EPOCH + k, Ruling.REJECTED, k % 3, "stop") for k in (1, 2, 3)]
+    wanted = [ImpactEstimate(each.stamp, "stop", Ruling.REJECTED, each.sequence) for each in no]
+    assert [observer.impact(each) for each in no] == [wanted[0], None, wanted[2]]
+
+
 def test_a_ball_that_comes_to_rest_has_lost_what_it_fell_with() -> None:
     """The energies of all impacts add up to m g h, the last of which closes the contact."""
     model = parse_model(

@@ -14,7 +14,7 @@ rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
+from impact_observer_msgs.msg import EventVerdict, ImpactEstimate, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
 from processes import Spinner, ros_arguments, running_node, spinning
 from rclpy.logging import LoggingSeverity
@@ -24,11 +24,13 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from impact_observer.cli.main import main
 from impact_observer.errors import DynamicsError, UsageError
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Kind, Remark, Ruling, Switch
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
-from impact_observer.io.messages import read_estimate
+from impact_observer.io.messages import read_estimate, read_impact_estimate
+from impact_observer.io.reader import BagReader
 from impact_observer.model import read_model
 from impact_observer.observer import (
     Observer,
@@ -72,6 +74,7 @@ class Rig:
     clock: Publisher
     states: list[ObserverState] = field(default_factory=list)
     verdicts: list[EventVerdict] = field(default_factory=list)
+    hits: list[ImpactEstimate] = field(default_factory=list)
     diagnostics: list[DiagnosticStatus] = field(default_factory=list)
 
     def send(self, what: Event) -> None:
@@ -110,6 +113,7 @@ def make_rig(spinner: Spinner, quality: Quality = EVENTS) -> Rig:
     many = qos_profile(Quality(depth=1000))
     probe.create_subscription(ObserverState, "observer/state", rig.states.append, many)
     probe.create_subscription(EventVerdict, "observer/verdicts", rig.verdicts.append, many)
+    probe.create_subscription(ImpactEstimate, "observer/impacts", rig.hits.append, many)
     probe.create_subscription(
         DiagnosticArray,
         "/diagnostics",
@@ -281,6 +285,51 @@ def test_the_observer_follows_a_restarted_plant_and_rejects_its_earlier_events(r
     rig.tick(moved + 10_000_000)
     last = rig.estimates()[-1]
     assert_same(last, replica(*restarted).estimate(last.stamp))
+
+
+@pytest.mark.parametrize("law", ["geometric", "minimum-variance"])
+def test_live_estimates_of_impacts_are_those_of_observe(
+    ros_environment: dict[str, str], tmp_path: Path, law: str
+) -> None:
+    """The last on each event equals that of the bag in every bit; so does an inserted one."""
+    assert ros_environment
+    bag, output = shared("bags/missed_and_spurious"), tmp_path / "out"
+    given = ["--law", law, "--initial-state", "random:1", "--clock-error", "0.001"]
+    assert main(["observe", str(bag), *given, "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        wanted = [*reader.impact_estimates("/observer/impacts")]
+        events = sorted(reader.events(), key=lambda each: each.stamp)
+    with rig_with(law=law, clock_error=0.001, epoch=events[0].epoch) as rig:
+        for each in events:
+            rig.tick(each.stamp + 1_000_000)
+            rig.send(each)
+        rig.spinner.settle()
+    live = [read_impact_estimate(each) for each in rig.hits]
+    final = {(each.sequence, each.contact): each for each in live if each.sequence}
+    inserted = {each for each in live if each.ruling is Ruling.INSERTED}
+    withdrawn = [each for each in live if each.ruling is Ruling.REJECTED and not each.sequence]
+    assert {each for each in wanted if each.sequence} == {*final.values()}
+    missed = {each for each in wanted if not each.sequence}
+    assert missed <= inserted
+    assert len(inserted - missed) == len(withdrawn)
+    if law == "geometric":
+        assert {each[8:] for each in live} == {(-1.0,) * 4}
+    else:
+        assert len({each.ruling for each in live}) == 3
+
+
+def test_an_estimate_of_an_impact_that_fails_leaves_the_verdicts(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next impacts have estimates again."""
+    rig.tick(EPOCH + 50_000_000)
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.node.observer, "impact", lambda _: 1 / 0)
+        rig.send(event(EPOCH + 20_000_000, 1))
+    rig.send(event(EPOCH + 30_000_000, 2))
+    rig.spinner.until(lambda: rig.hits)
+    assert [each.sequence for each in rig.verdicts] == [1, 2]
+    assert [each.sequence for each in rig.hits] == [2]
 
 
 def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
