@@ -336,7 +336,7 @@ def test_detector_launch_passes_the_sensors_and_the_topic(launcher: Launcher) ->
     )
 
 
-@pytest.mark.parametrize("template", ["ball", "chisel", "shaker"])
+@pytest.mark.parametrize("template", ["ball", "chisel", "gear", "shaker"])
 def test_the_launch_file_of_a_new_rig_starts_detector_and_observer(
     launcher: Launcher, template: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,6 +4,7 @@
     impact-observer new my_rig --from chisel
 
 chisel: two bodies that hit each other at both ends, a force of a table, a microphone
+gear:   a wheel that rattles between two flanks, a switch at one of them
 shaker: a mass that a shaker drives against a stop, a piezo
 ball:   a ball that bounces and is slowed by the air, typed times or a microphone
 

@@ -6,14 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from systems import EPOCH, run
+from true_impacts import true_impacts
 
 from impact_observer.cli.main import main
 from impact_observer.detector import parse_sources
+from impact_observer.io.reader import BagReader
 from impact_observer.model import read_model
 from impact_observer.resources import shared
+from impact_observer.stamps import NS_PER_S
 
 TEMPLATES = {each.name: each for each in shared("config/templates").iterdir()}
-DURATION = {"ball": "2", "chisel": "0.6", "shaker": "0.7"}
+DURATION = {"ball": "2", "chisel": "0.6", "gear": "1", "shaker": "0.7"}
 """For how long each rig is simulated, s."""
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -75,6 +79,30 @@ def test_a_simulated_rig_is_identified(template: str) -> None:
         for name in ("duller", "my_rig", "fit")
     )
     assert np.all(np.abs(found - true) < 0.1 * np.abs(typed - true))
+
+
+@pytest.mark.slow
+def test_impacts_of_the_flank_without_a_switch_are_inserted() -> None:
+    """Once the motion is found, each impact of the plant there has its instant and speed."""
+    assert main(["new", "my_rig", "--from", "gear"]) == 0
+    model = read_model("my_rig.yaml")
+    simulated = ["--duration", "3", "--jitter", "1e-5", "--seed", "1", "-o", "bag"]
+    assert main(["simulate", "my_rig.yaml", *simulated]) == 0
+    given = ["--law", "minimum-variance", "--clock-error", "1e-5", "-o", "estimate"]
+    assert main(["observe", "bag", *given]) == 0
+    with BagReader(Path("estimate")) as reader:
+        made = [each for each in reader.impact_estimates("/observer/impacts") if not each.sequence]
+        epoch = next(reader.events()).epoch
+    plant = run(model.system, *model.initial_state(), seconds=2.9)
+    truth = true_impacts(model.system, plant.switchings)
+    later = {stamp - EPOCH: truth[stamp, name] for stamp, name in truth if name == "back"}
+    assert {each.contact for each in made} == {"back"}
+    for stamp, speeds in later.items():
+        if stamp > NS_PER_S:
+            near = min(made, key=lambda each: abs(each.stamp - epoch - stamp))
+            assert abs(near.stamp - epoch - stamp) < 50_000
+            np.testing.assert_allclose(near[4:6], speeds[:2], rtol=0.01)
+    assert len(later) - 3 <= len(made) <= len(later) + 3
 
 
 @pytest.mark.parametrize("there", ["my_rig.yaml", "my_rig_valve.csv"])
