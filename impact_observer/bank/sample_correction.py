@@ -28,6 +28,7 @@ class Function(NamedTuple):
         acceleration: the same.
         offset: in the unit of the function.
         contact: whose gap is measured; -1 for none.
+        parameters: factors of parameters, as of the motion of grounds, shape (p,); None for zeros.
     """
 
     position: Vector
@@ -35,6 +36,7 @@ class Function(NamedTuple):
     acceleration: Vector
     offset: float = 0.0
     contact: int = -1
+    parameters: Vector | None = None
 
     def at(self, x: Array, t: Elapsed, held: Contacts, flights: Flights) -> tuple[Vector, Array]:
         """Values at states (H, N), and their derivatives by the states, shapes (H,) and (H, N)."""
@@ -53,6 +55,10 @@ class Function(NamedTuple):
             rows[:, :d] += by_x
             rows[:, d : d + flights.p] = by
             values += flights.change(by[:, None], x)[:, 0]
+        if self.parameters is not None:
+            own = slice(d, d + flights.p)
+            values += x[:, own] @ self.parameters
+            rows[:, own] += self.parameters
         return values, rows
 
 

@@ -36,8 +36,8 @@ UNITS = {
 """Kinds of free parameters and their SI units, with coordinates in m; empty for a ratio."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
 """SI units of other learned quantities of an observer; no entry for a ratio."""
-_ONLY_IDENTIFIED = {OFFSET, LATENCY, "ground-amplitude", "ground-phase", "ground-frequency"}
-"""Kinds that only ``identify`` learns: an observer takes clock and grounds from the model."""
+_ONLY_IDENTIFIED = {OFFSET, LATENCY}
+"""Kinds that only ``identify`` learns: an observer takes the clock from the model."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale; the least value is the inverse."""
@@ -123,8 +123,8 @@ def _unknown(
     """The error text for a ``name`` that no parameter of the model has, or none ``observed``."""
     if observed and not is_observed(name):
         return (
-            f"parameter {name!r}: an observer takes clocks and moving grounds as the model has"
-            " them; identify it first (identify --free), and give the model that this writes"
+            f"parameter {name!r}: an observer takes clocks as the model has them; identify it"
+            " first (identify --free), and give the model that this writes"
         )
     meant = ""
     if not elements and name.partition(".")[0] in _SCALES:

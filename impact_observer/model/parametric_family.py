@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.model.angles import Angles
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import MovingFrame
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import Contact, System
 from impact_observer.states import Matrix, Vector, frozen
 
+Array = NDArray[np.float64]
 _OF_MOTION = ("M", "C", "K", "amplitude", "phase", "frequency", "constant")
 """Coefficients on which the motion between impacts depends."""
 _DEVIATION_RANGE = (1e-12, 1.0)
@@ -203,6 +205,38 @@ class ParametricFamily:
             ahead = 1j * effect.phase[:, None] * given + effect.frequency[:, None] * by_frequency
             changes[j] = effect.amplitude[:, None] * turn * given + factor * ahead
         return factor * given, changes
+
+    @property
+    def moves_grounds(self) -> bool:
+        """Whether the motion of a ground depends on a parameter."""
+        return any(name.startswith("ground-") for name in self.names)
+
+    def ground_motion(self, values: Vector, ns: int) -> tuple[Array, Array]:
+        """What the grounds add to (q, u, du/dt) in the frame, and its derivatives.
+
+        Args:
+            values: of the parameters, shape (p,).
+            ns: nanoseconds since the epoch.
+
+        Returns:
+            Shapes (3, n) and (p, 3, n).
+        """
+        frame, coefficients = self.system.frame, self.coefficients_at(values)
+        assert frame is not None, "grounds move"
+        motion, own = frame.grounds.motion, frame.forcing.frequency.size
+        amplitude, omega = coefficients.amplitude[own:], coefficients.frequency[own:]
+        angle = Angles(omega).at_stamps(np.array([ns]))[0] + coefficients.phase[own:]
+        unit = (motion.cosine - 1j * motion.sine) * np.exp(1j * angle)[:, None]
+        jets, order = (1j * omega) ** np.arange(3)[:, None], np.arange(3)[:, None]
+        found = ((amplitude * jets) @ unit).real
+        if motion.sampled is not None:
+            found += motion.sampled.derivatives(np.array([ns * 1e-9]))[:3, 0]
+        by_omega = amplitude * jets * (order / omega + 1j * ns * 1e-9)
+        changes = np.zeros((self.size, *found.shape))
+        for j, effect in enumerate(each.effect for each in self.parameters):
+            turned = effect.amplitude[own:] + 1j * amplitude * effect.phase[own:]
+            changes[j] = ((turned * jets + effect.frequency[own:] * by_omega) @ unit).real
+        return found @ frame.shift.T, changes @ frame.shift.T
 
     def system_at(self, values: Vector) -> System:
         """The system for parameter ``values``, shape (p,).

@@ -139,6 +139,20 @@ class Prediction(ABC):
         del s
         return None
 
+    def of_grounds(self, ns: int, s: float) -> tuple[Vector, Matrix] | None:
+        """What uncertain grounds add to the state (q, u) in the frame of the stops.
+
+        Args:
+            ns: nanoseconds since the epoch.
+            s: seconds after the start.
+
+        Returns:
+            The sum, shape (2n,), and its error, which is added to the first columns of ``root``,
+            shape (2n, any); None where the model says the motion of all grounds.
+        """
+        del ns, s
+        return None
+
     def silence(self, s: float) -> str:
         """The warning that predicted impacts have not come for ``s`` seconds; empty if none is."""
         del s

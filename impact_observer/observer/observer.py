@@ -588,14 +588,21 @@ class Observer:
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
         if root is None and law.has_covariance:  # the root after a sample is found on request
             root = prediction.root(0.0)
+        grounds = prediction.of_grounds(stamp - self.epoch, s)
+        if grounds is not None:
+            root = prediction.root(s)  # whose columns are those of the grounds
         held, silence = prediction.closed(s), prediction.silence(s)
         closed, covariance = entry.closed if held is None else held, NO_COVARIANCE
         if root is not None:
             both, sizes = self._both_sides(entry, s, x, root, closed), self._mechanism.sizes(x, s)
+            if grounds is not None:
+                both, root = _with_first(both, grounds[1]), _with_first(root, grounds[1])
             covariance = law.uncertainty.published_covariance(both, x, sizes)
         doubt = None if root is None else self._doubt(belief, x, root, s)
         agrees = self._test.is_synchronized(entry.synchronization) if doubt is None else not doubt
-        if self.system.frame is not None:
+        if grounds is not None:
+            x = x + grounds[0]
+        elif self.system.frame is not None:
             x = self._from_frame(np.array([stamp]), x[None])[0]
         return Estimate(
             stamp=stamp,
@@ -681,6 +688,10 @@ class Observer:
         s = (stamps - entry.since) / NS_PER_S
         every = prediction.replicas(s)
         every[:, s <= 0] = entry.belief.replicas[: len(every), None]
+        pairs = zip((stamps - self.epoch).tolist(), s.clip(0.0).tolist(), strict=True)
+        found = (prediction.of_grounds(*pair) for pair in pairs)
+        if learned := [each[0] for each in found if each is not None]:
+            return np.asarray(every + np.array(learned))
         return self._from_frame(stamps, every)
 
     def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
@@ -865,6 +876,12 @@ def require_epoch(system: System, epoch: int) -> None:
             " expected its stamp of t = 0: --epoch S (epoch of nodes, ns), detect --pulses COLUMN,"
             " or import --time-zero S with S above 0"
         )
+
+
+def _with_first(root: Matrix, errors: Matrix) -> Matrix:
+    """A ``root`` with ``errors`` added to its first columns."""
+    others = np.zeros((len(root), root.shape[1] - errors.shape[1]))
+    return np.asarray(root + np.hstack([errors, others]))
 
 
 def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:

@@ -195,7 +195,7 @@ def test_names_and_deviations_are_read_as_users_write_them() -> None:
     ("wanted", "error"),
     [
         (("clock-offset",), "declare clock_offset_error instead"),
-        (("ground-phase",), "identify it first .*, and give the model that this writes"),
+        (("latency",), "identify it first .*, and give the model that this writes"),
         (("restitution=",), "nothing found after ="),
         (("restitution=much",), "much found after ="),
         (("restitution=0",), "deviation of restitution.stop: 0 found"),

@@ -52,6 +52,7 @@ class MinimumVariance(Law):
 
     Attributes:
         filter: the bank's filter.
+        grounds: the family of systems, if the motion of their grounds is uncertain.
     """
 
     name: ClassVar[str] = "minimum-variance"
@@ -83,6 +84,7 @@ class MinimumVariance(Law):
         self._names = [*family.names, *(["clock_offset"] if offset else [])]
         self._considered = np.array([*considered, *([False] if offset else [])], dtype=bool)
         self._has_delay = bool(offset)
+        self.grounds = family if system.frame is not None and family.moves_grounds else None
         m, given, error = system.m, own.contacts, own.model_error
         if not (error or system.has_encoders or system.is_plain(range(m))):
             error = None  # what is not linear in speeds is an error at first
@@ -205,10 +207,18 @@ class MinimumVariance(Law):
         bank = self.filter.predicted(bank, t - bank.t)._replace(t=t, late=0.0)
         for reading in readings:
             sensor = reading.sensor
-            shift = float(sensor.shifts(np.array([reading.instant]))[0])
+            function = Function(*sensor.function)
+            if self.grounds is None:
+                shift = float(sensor.shifts(np.array([reading.instant]))[0])
+            else:
+                theta = bank.constants[: self.grounds.size]
+                moved, slopes = self.grounds.ground_motion(theta, reading.instant)
+                by = np.sum(slopes * np.array(function[:3]), axis=(1, 2))
+                shift = float(np.sum(moved * np.array(function[:3])) - by @ theta)
+                function = function._replace(parameters=by)
             gate = sensor.measurement.gate
             sample = LinearSample(
-                Function(*sensor.function),
+                function,
                 reading.value - shift,
                 sensor.variance,
                 gate,
@@ -288,6 +298,15 @@ class BankPrediction(Prediction):
         root = self._course.estimate(s + self.bank.late)[1][: self._size]
         lost = self.bank.contradicted or self.silence(s)
         return _anywhere(root, self.bank) if lost else root
+
+    def of_grounds(self, ns: int, s: float) -> tuple[Vector, Matrix] | None:
+        if (family := self._law.grounds) is None:
+            return None
+        x, root = self._course.estimate(s + self.bank.late)
+        own = slice(self._size, self._size + family.size)
+        moved, slopes = family.ground_motion(x[own], ns)
+        by = slopes[:, :2].reshape(family.size, -1)
+        return moved[:2].ravel(), by.T @ root[own]
 
     def closed(self, s: float) -> Contacts:
         return self._course.closed(s + self.bank.late)
