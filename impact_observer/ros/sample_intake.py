@@ -6,9 +6,10 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import groupby
+from itertools import chain, groupby
 from typing import TypeAlias
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from impact_observer.errors import ImpactObserverError, UsageError
@@ -32,7 +33,7 @@ _SHARE = 1 / 3
 """The same over the time since the call before: so that a backlog becomes shorter, though
 estimates take as long again.
 """
-_FEW = 50
+_FEW = 20
 """Instants of a call whose samples are used without a look at their cost."""
 _COUNTED = 20
 """Samples from which on the rate of a sensor is known."""
@@ -176,28 +177,30 @@ class SampleIntake:
         self._node.lines.error(f"{self._efforts}: {problem}")
 
     def _in_time(self, samples: Sequence[SensorSample]) -> Iterator[Sequence[SensorSample]]:
-        """Yields ``samples`` by instants, and of many those there is time for.
+        """Yields late ``samples``, those of the first new instants, and of others as time allows.
 
         What counts is the time that passes, as others may use the processor, too.
         """
-        if not samples:
-            return
-        instants = [[*some] for _, some in groupby(samples, lambda each: each.stamp)]
-        begin, used, i, last = time.monotonic(), 0, 0, len(instants) - 1
-        allowed = max(_SHARE * (begin - self._ended), _LONGEST)
-        while True:
-            yield instants[i]
-            used += 1
-            self._ended = time.monotonic()
-            if i == last:
-                return
-            spent = max(self._ended - begin, 1e-9)
-            most = max((allowed - spent) * used / spent, 1.0) if last >= _FEW else math.inf
-            following = i + (math.ceil((last - i) / most) or 1)
-            for shed in instants[i + 1 : following]:
-                for each in shed:
+        newest, ordered = self._observer.newest, sorted(samples, key=lambda each: each.stamp)
+        late = [each for each in ordered if each.stamp <= newest]
+        if late:
+            yield late
+        new = groupby(ordered[len(late) :], lambda each: each.stamp)
+        instants = [[*some] for _, some in new]
+        begin, first, others = time.monotonic(), instants[:_FEW], instants[_FEW:]
+        left = max(_SHARE * (begin - self._ended), _LONGEST)
+        if first:
+            yield [*chain.from_iterable(first)]
+        if others:
+            spent = max(time.monotonic() - begin, 1e-9)
+            most = max(int((left - spent) / spent * len(first)), 1)
+            count = min(most, len(others))
+            kept = {*np.linspace(len(others) - 1, 0, count).round().astype(int).tolist()}
+            for k in {*range(len(others))} - kept:
+                for each in others[k]:
                     self._observer.samples.counts[each.sensor]["shed"] += 1
-            i = following
+            yield [*chain.from_iterable(others[k] for k in sorted(kept))]
+        self._ended = time.monotonic()
 
     def _measured(self, samples: Sequence[SensorSample]) -> Sequence[Verdict]:
         """Give samples to the observer; verdicts on events that have changed."""
