@@ -23,10 +23,12 @@ if TYPE_CHECKING:
     from impact_observer.options import Options
     from impact_observer.plant import Plant, simulate
     from impact_observer.stamps import grid
+    from impact_observer.states import Estimate
 
 __version__ = "0.4.0"
 
 _HOME = {
+    "Estimate": "states",
     "ImpactEvent": "events",
     "Kind": "events",
     "Model": "model",
@@ -47,6 +49,7 @@ _HOME = {
 """Where each public name is defined."""
 
 __all__ = [
+    "Estimate",
     "ImpactEvent",
     "Kind",
     "Model",

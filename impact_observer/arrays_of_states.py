@@ -39,7 +39,7 @@ class StateArrays(NamedTuple):
         for row, each in zip(rows, found, strict=True):
             row[:] = np.append(each.q, each.u)
         for row, each in zip(deviations, found, strict=True):
-            if each.covariance is not None:
+            if each.covariance.size:
                 row[:] = np.sqrt(np.diag(each.covariance))
         return cls(names, np.asarray(stamps * 1e-9), rows, deviations)
 

@@ -4,16 +4,15 @@
 The classes mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without ROS.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import NamedTuple, TypeAlias
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import UsageError
-from impact_observer.stamps import NS_PER_S, whole_stamp
+from impact_observer.stamps import NS_PER_S, nanoseconds, whole_stamp
 
 Contacts: TypeAlias = tuple[int, ...]
 """Indices of contacts in their system, ascending."""
@@ -221,20 +220,32 @@ DECIDING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 """Rulings that decide about a switch; the last one counts."""
 
 
-def epoch_before(times: Mapping[str, ArrayLike]) -> int:
-    """A stamp of time zero, ns, with which all ``times`` (s, by contact) have stamps above 0."""
-    earliest = min((float(np.min(each, initial=0.0)) for each in times.values()), default=0.0)
-    return NS_PER_S * (1 + int(np.ceil(-earliest)))
+def events_at(
+    times: Mapping[str, ArrayLike] | ArrayLike, names: Sequence[str], epoch: int = 0
+) -> tuple[int, list[ImpactEvent]]:
+    """Events of impacts at ``times``, s since the epoch, in order, and the epoch, ns.
 
+    Args:
+        times: by contact; or those of the only contact, shape (impacts,).
+        names: of the contacts.
+        epoch: stamp of time zero, ns; 0 for one with which all events have stamps above 0.
 
-def events_at(times: Mapping[str, ArrayLike], epoch: int) -> list[ImpactEvent]:
-    """Events of impacts at ``times``, s since the ``epoch`` (ns), by contact; in order."""
-    stamps = [
-        (epoch + round(float(t) * NS_PER_S), contact)
-        for contact, own in times.items()
-        for t in np.ravel(np.asarray(own, dtype=float))
-    ]
-    return [
+    Raises:
+        UsageError: another contact, times of none of several, or times that are no seconds.
+    """
+    expected = f"expected a mapping from {', '.join(names)} to seconds"
+    if not isinstance(times, Mapping):
+        if len(names) != 1:
+            raise UsageError(f"times: of no contact; {expected}")
+        times = {names[0]: times}
+    for contact in times:
+        if contact not in names:
+            raise UsageError(f"times: contact {contact!r} found; {expected}")
+    found = {name: nanoseconds(own, f"times of {name}") for name, own in times.items()}
+    earliest = min((int(own.min(initial=0)) for own in found.values()), default=0)
+    epoch = epoch or NS_PER_S * (1 - earliest // NS_PER_S)
+    stamps = [(epoch + ns, contact) for contact, own in found.items() for ns in own.tolist()]
+    return epoch, [
         ImpactEvent(stamp, (Switch(contact),), k, 1, epoch)
         for k, (stamp, contact) in enumerate(sorted(stamps), start=1)
     ]

@@ -7,6 +7,7 @@ Command lines, node parameters, launch files, the YAML samples in ``config/nodes
 
 import math
 from dataclasses import dataclass, field, fields, replace
+from inspect import cleandoc
 from typing import List, TypeAlias, TypeVar  # noqa: UP035
 
 from impact_observer.errors import UnsetError, UsageError
@@ -153,8 +154,6 @@ def rows_of(options: type) -> tuple[Option, ...]:
 class Options:
     """All options of an observer; ``observer.make_observer`` makes an observer of them.
 
-    Each field is a row of the table ``OBSERVER_OPTIONS``.
-
     Raises:
         UsageError: a value is of the wrong type, or not in its range.
     """
@@ -253,6 +252,10 @@ class Options:
 
 
 OBSERVER_OPTIONS = rows_of(Options)
+Options.__doc__ = "\n".join(
+    [cleandoc(Options.__doc__ or ""), "\nAttributes:"]
+    + [f"    {each.name}: {each.summary}" for each in OBSERVER_OPTIONS]
+)
 
 
 def highest(name: str) -> float:

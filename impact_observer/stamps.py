@@ -10,7 +10,7 @@ from operator import index
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.errors import UsageError
 
@@ -124,6 +124,22 @@ def whole_stamps(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     if array.size and array.dtype.kind not in "iu":
         raise UsageError(f"stamps: {array.dtype} found; {_WHOLE}, such as {_EXAMPLE}")
     return array.astype(np.int64, copy=False)
+
+
+def nanoseconds(seconds: ArrayLike, name: str) -> NDArray[np.int64]:
+    """Finite ``seconds`` in whole nanoseconds, shape (times,).
+
+    Raises:
+        UsageError: text, or numbers that no stamp can carry; the line has the ``name``.
+    """
+    most = MAX_STAMP // NS_PER_S
+    try:
+        found = np.ravel(np.asarray(seconds, dtype=float))
+    except (TypeError, ValueError):
+        raise UsageError(f"{name}: no numbers found; expected seconds") from None
+    for wrong in found[~(np.abs(found) <= most)].tolist():
+        raise UsageError(f"{name}: {wrong:g} found; expected seconds, at most {most}")
+    return np.round(found * NS_PER_S).astype(np.int64)
 
 
 def seconds_between(start: int, stop: int) -> float:

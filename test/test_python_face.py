@@ -3,6 +3,7 @@
 
 import json
 import os
+import pydoc
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from impact_observer import (
+    Estimate,
     Observer,
     Options,
     Plant,
@@ -26,8 +28,8 @@ from impact_observer import (
     simulate,
 )
 from impact_observer.errors import ModelError, UsageError
+from impact_observer.options import OBSERVER_OPTIONS
 from impact_observer.resources import shared
-from impact_observer.states import Estimate
 
 ROOT = Path(__file__).resolve().parents[1]
 EPOCH = 1_000_000_000
@@ -141,3 +143,10 @@ def test_models_runs_and_observers_are_shown_in_one_line() -> None:
     assert "hammer" in repr(read_model("hammer"))
     for each in (run, observer, read_model("hammer")):
         assert len(repr(each).splitlines()) == 1
+
+
+def test_help_has_the_meaning_of_each_option() -> None:
+    """As the table has it, once."""
+    shown = " ".join(pydoc.plain(pydoc.render_doc(Options)).split())
+    for row in OBSERVER_OPTIONS:
+        assert shown.count(f"{row.name}: {row.summary}") == 1

@@ -12,11 +12,12 @@ from impact_observer.arrays_of_states import StateArrays
 from impact_observer.batch.identification import Identification, identify
 from impact_observer.batch.smoothed_run import SmoothedRun
 from impact_observer.batch.smoothing import smoothed_runs
-from impact_observer.events import epoch_before, events_at
+from impact_observer.events import events_at
 from impact_observer.model import Model, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options
 from impact_observer.observer.uncertainty import suggested_deviation
+from impact_observer.stamps import nanoseconds
 from impact_observer.states import Vector
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class FittedTimes:
     def states(self, seconds: ArrayLike) -> StateArrays:
         """The states at instants since the epoch, s, ascending; none before the start."""
         epoch = self.run.run.epoch
-        stamps = epoch + np.round(np.asarray(seconds, dtype=float) * 1e9).astype(np.int64)
+        stamps = epoch + nanoseconds(seconds, "seconds")
         names = self.run.run.system.state_names
         return StateArrays.of(names, self.run.estimates(stamps), epoch)
 
@@ -98,7 +99,7 @@ class FittedTimes:
 
 
 def fit(
-    times: Mapping[str, ArrayLike],
+    times: Mapping[str, ArrayLike] | ArrayLike,
     model: Model | str,
     *,
     free: Sequence[str] | None = None,
@@ -107,20 +108,21 @@ def fit(
     """Fit a model to impact times, without a file.
 
     Args:
-        times: of the impacts of each contact, s since the epoch, at which the time of forces is
-            zero; free ``forcing-phase`` or ``ground-phase`` where nobody knows it.
+        times: of the impacts of each contact, or of the only one, s since the epoch, at which
+            the time of forces is zero; free ``forcing-phase`` or ``ground-phase`` where nobody
+            knows it.
         model: the model, a file, or the name of a sample.
         free: names of the parameters to identify; None for those that bear a deviation.
         clock_error: standard deviation of the times, s; None to estimate it.
 
     Raises:
-        ModelError, UsageError: the model or the names cannot be used.
-        BagError: no time of a contact of the model.
+        ModelError, UsageError: the model, the names or the times cannot be used.
+        BagError: no time.
         IdentificationError: fewer times than unknowns, or no motion explains the times.
     """
     read = read_model(model) if isinstance(model, str) else model
-    known, epoch = read.uncertainty, epoch_before(times)
-    events = events_at(times, epoch)
+    known = read.uncertainty
+    epoch, events = events_at(times, read.system.contact_names)
     names = free if free is not None else () if known is None else known.names
     family = parametric_family(read.system, tuple(names), read.elements)
     found = identify(family, events, clock=clock_error, prior=known, sensors=read.sensors)

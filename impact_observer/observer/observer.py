@@ -22,7 +22,6 @@ from impact_observer.events import (
     Remark,
     Ruling,
     Verdict,
-    epoch_before,
     events_at,
 )
 from impact_observer.model import System
@@ -50,6 +49,7 @@ from impact_observer.stamps import (
     NS_PER_S,
     Elapsed,
     from_seconds,
+    nanoseconds,
     seconds_between,
     text,
     whole_stamp,
@@ -791,19 +791,19 @@ class Observer:
         found = [np.diag(self.estimate((a + b) // 2).covariance) for a, b in pairs]
         return np.asarray(np.sqrt(np.median(found, axis=0)))
 
-    def run(self, times: Mapping[str, ArrayLike], seconds: ArrayLike) -> StateArrays:
+    def run(self, times: Mapping[str, ArrayLike] | ArrayLike, seconds: ArrayLike) -> StateArrays:
         """The states after all impacts up to each of ``seconds``, of an observer without events.
 
         Args:
-            times: of the impacts of each contact, s since the epoch.
+            times: of the impacts of each contact, s since the epoch; or of the only contact.
             seconds: since the epoch, ascending, s.
 
         Raises:
-            ImpactLawError, UsageError: as ``receive``.
+            ImpactLawError, UsageError: as ``receive``; an unknown contact, or no seconds.
         """
-        epoch, made = self.given_epoch or epoch_before(times), list[Estimates]()
-        stamps = epoch + np.round(np.asarray(seconds, dtype=float) * NS_PER_S).astype(np.int64)
-        for event in (*events_at(times, epoch), None):
+        epoch, events = events_at(times, self.system.contact_names, self.given_epoch)
+        stamps, made = epoch + nanoseconds(seconds, "seconds"), list[Estimates]()
+        for event in (*events, None):
             end = stamps.size if event is None else int(np.searchsorted(stamps, event.stamp))
             here, stamps = stamps[:end], stamps[end:]
             if here.size and self.start is not None:

@@ -8,7 +8,7 @@ import pytest
 from systems import EPOCH, run, sample
 
 from impact_observer import Options, fit, make_observer
-from impact_observer.errors import BagError
+from impact_observer.errors import UsageError
 from impact_observer.resources import shared
 from impact_observer.stamps import seconds_between
 
@@ -39,8 +39,6 @@ def test_fit_finds_parameters_impacts_and_states() -> None:
     np.testing.assert_allclose(motion.states, truth.states[1:], atol=1e-5)
     assert np.all(motion.deviations > 0)
     assert len(found.plot().axes) == 6
-    with pytest.raises(BagError, match="bell"):
-        fit({"bell": [1.0]}, model, free=())
 
 
 def test_an_observer_runs_through_seconds_by_contact() -> None:
@@ -51,6 +49,46 @@ def test_an_observer_runs_through_seconds_by_contact() -> None:
     truth = run(model.system, *model.initial_state(), seconds=30.0, rate=2.0)
     np.testing.assert_allclose(seen.states[-1], truth.states[-2], atol=1e-6)
     assert np.all(seen.deviations[-1] < 1e-3 * seen.deviations[0])
+
+
+def test_times_alone_are_those_of_the_only_contact() -> None:
+    """By any law: from its start the default one moves as the plant; it knows no deviations."""
+    model, times = sample("two_mass"), seconds_of("two_mass", 30.0)
+    start = ",".join(map(str, np.concatenate(model.initial_state()).tolist()))
+    observer = make_observer(model.system, Options(initial_state=start))
+    seen = observer.run(times["stop"], np.arange(0.0, 30.0, 0.5))
+    truth = run(model.system, *model.initial_state(), seconds=30.0, rate=2.0)
+    np.testing.assert_allclose(seen.states, truth.states[2:-1], atol=1e-6)  # after an impact
+    assert np.all(np.isnan(seen.deviations))
+    found, named = (fit(each, model, free=("gap",)) for each in (times["stop"], times))
+    assert found.parameters == named.parameters
+
+
+@pytest.mark.parametrize(
+    ("times", "fault"),
+    [
+        ({"bell": [1.0]}, "bell"),
+        ([1.0], "no contact"),
+        ({"left": [1.0, np.nan]}, "left"),
+        ({"left": [np.inf]}, "left"),
+        ({"left": 1e12}, "left"),
+        ({"left": ["noon"]}, "left"),
+        ({"left": None}, "left"),
+    ],
+)
+def test_times_that_are_none_of_the_model_are_refused(times: object, fault: str) -> None:
+    """In one line, by ``fit`` and by an observer."""
+    with pytest.raises(UsageError, match=fault):
+        fit(times, sample("three_mass"), free=())  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=fault):
+        make_observer("three_mass").run(times, [1.0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seconds", [np.nan, -np.inf, 1e12, "noon"])
+def test_instants_that_no_stamp_has_are_refused(seconds: float | str) -> None:
+    """In one line."""
+    with pytest.raises(UsageError, match="seconds"):
+        make_observer("two_mass").run([1.0], [seconds])
 
 
 def test_the_notebook_runs() -> None:
