@@ -209,9 +209,8 @@ def troubled(_: Checkout, _folder: Path, seed: int, *, name: str, trouble: str) 
             continue
         events = recorded(plant, DRAWS * seed + k, 1e-6).events
         made.append(TROUBLES[trouble](events, rng))
-    resolution = 1e-5 if trouble == "printed digits" else 0.0
     begun = time.process_time()
-    found = [tried(plant, events, resolution=resolution) for events in made]
+    found = [tried(plant, events) for events in made]
     seconds = time.process_time() - begun
     figures = figures_of(plant, found, seconds)
     if trouble == "unknown phase":

@@ -26,6 +26,7 @@ from impact_observer.observer import Options
 from impact_observer.observer.observer import require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.uncertainty import deviation_of, suggested_deviation
+from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector
 
 _WIDE = 10.0
@@ -34,6 +35,8 @@ _START = 10.0
 """Deviations of the start, over those that are suggested for a rig of this size."""
 _TRIED = 3
 """Other parameters that are tried as the cause of a misfit."""
+_FEW_IN_FLIGHT = 10
+"""Multiples of a step in the usual flight, of which a step is no resolution of a clock."""
 _ROUNDS_OF_OTHER = 2
 """Linearisations by which other parameters are compared."""
 
@@ -144,7 +147,7 @@ def identify(
         family: a system and its free parameters.
         events: their last episode counts.
         clock: standard deviation of a stamp, s; None to estimate it.
-        resolution: of printed times, s: errors below half of it are no evidence.
+        resolution: time between samples, s; that of printed times is found.
         trust_events: whether to reject no impact as spurious and to insert no missed one.
         progress: receives what is being done.
         measurements: of sensors beside the impacts.
@@ -197,7 +200,7 @@ def identify(
                 run,
                 options=options,
                 trusts_events=trust_events,
-                resolution=resolution,
+                resolution=max(resolution, _resolution(run)),
                 show=progress,
             )
             causes = () if found.verdict.fits else _causes(found.fit, progress)
@@ -228,6 +231,14 @@ def prior_root(family: ParametricFamily, prior: ParameterUncertainty | None) -> 
     which = [names.index(family.names[j]) for j in own]
     root[np.ix_(own, own)] = root_in_own_units(prior.covariance[np.ix_(which, which)])
     return root
+
+
+def _resolution(run: RecordedRun) -> float:
+    """Return what the times between the stamps are multiples of, s; 0 where this is chance."""
+    flights = np.diff(np.unique([key.stamp for key in run.keys]))
+    step = int(np.gcd.reduce(flights))
+    few = _FEW_IN_FLIGHT * step > np.median(flights) if flights.size > 1 else True
+    return 0.0 if few or step == 1 else seconds_between(0, step)
 
 
 def _check_enough(problem: BatchProblem) -> None:

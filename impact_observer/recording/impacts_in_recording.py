@@ -80,7 +80,7 @@ class RecordedImpacts:
         epoch: stamp of ``t = 0``, ns; shortly before the first impact where nothing says it.
         zero: stamp of time 0 of the file, ns; 0 of a bag.
         mislabelled: probability that an impact is reported for another contact.
-        resolution: of printed times, or the time between samples, s; 0 if unknown.
+        resolution: time between samples, s; 0 of a table.
         sources: declarations of the sensors that were used, complete.
         traces: the signals of ``sources``.
         refused: of each, stamps of the highest peaks that are no impacts, ns.
@@ -123,7 +123,6 @@ def read_recording(
         path, bag, model=task.model, form=task.form, start=task.zero, epoch=task.epoch or 0
     )
     line = f"{path}: {len(imported.events)} impacts, {imported.times}"
-    times = [each.stamp - imported.start for each in imported.events]
     return RecordedImpacts(
         bag,
         [line],
@@ -131,7 +130,6 @@ def read_recording(
         task.epoch is not None,
         epoch=task.epoch or _before(imported.events),
         zero=imported.start,
-        resolution=seconds_between(0, int(np.gcd.reduce(times))),
     )
 
 
