@@ -37,8 +37,8 @@ _RATIOS = "-scale", "-amplitude"
 """Ends of the kinds of parameters whose value is 1 in any model file."""
 _HALF_TURN = np.pi * (1 - 1e-9)
 """Largest deviation of a phase, rad, below the one that a model file may have by rounding."""
-_CAUSES = 3
-"""Most parameters that are named as causes of a misfit."""
+_REMARKS = 3
+"""Most remarks after the verdict."""
 _SPARE = 4
 """Least surplus of stamps over unknowns that shows errors of a clock or a model."""
 _TOLD = 0.5
@@ -67,20 +67,47 @@ def shift_of(found: Identification) -> TimeShift:
 
 
 def report(found: Identification) -> Iterator[ReportLine]:
-    """The verdict first, then at most three causes, then what to know of the numbers."""
-    verdict, fit = found.verdict, found.fit
-    moments = fit.problem.moments
+    """The verdict, and at most three remarks on the numbers, warnings first."""
+    verdict = found.verdict
     if verdict.fits:
         yield ReportLine("ok", "The model fits.")
     else:
         yield ReportLine("error", f"The model does not fit: {'; '.join(verdict.reasons)}.")
-    for each in [each for each in found.causes if each.fits or not verdict.fits][:_CAUSES]:
+    remarks = [*_warnings(found), *_notes(found)]
+    yield from remarks[:_REMARKS]
+
+
+def _warnings(found: Identification) -> Iterator[ReportLine]:
+    """Yield why numbers may be wrong."""
+    fit = found.fit
+    unknowns = found.start.size + found.family.size
+    if found.undetermined:
+        yield ReportLine("warning", f"Not determined: {listed(found.undetermined)}.")
+    if found.bounded:
+        yield ReportLine(
+            "warning", f"At a bound, so the model may be wrong: {listed(found.bounded)}."
+        )
+    if inside := found.family.near(found.values).penetrated(found.start[: found.family.system.n]):
+        contact = found.run.system.contact_names[inside[0]]
+        yield ReportLine("warning", f"The start is inside the stop {contact!r}.")
+    if not fit.problem.samples and fit.residuals.size < unknowns + _SPARE:
+        stamps = counted(fit.residuals.size, "stamp")
+        yield ReportLine(
+            "warning", f"{stamps} are few for {unknowns} unknowns, the start among them."
+        )
+
+
+def _notes(found: Identification) -> Iterator[ReportLine]:
+    """Yield the likeliest cause of a misfit, errors, rejected and inserted impacts, samples."""
+    verdict, fit, names = found.verdict, found.fit, found.family.names
+    for each in found.causes[:1]:
         end = "the model fits" if each.fits else "it explains more, and does not fit either"
         value = figure(each.value, deviation=each.error)
         yield ReportLine("note", f"With {each.name} {value} (given {each.given:.6g}) {end}.")
-    if not verdict.fits and not any(each.fits for each in found.causes):
-        yield ReportLine("note", "No other single parameter makes the model fit.")
-    clock = "" if verdict.declared is None else f", {figure(verdict.declared, 's')} is declared"
+    if OFFSET in names:
+        late = float(found.values[names.index(OFFSET)])
+        yield ReportLine("note", f"{OFFSET} is not written: `detect --latency {late:.6g}` has it.")
+    clock = "" if verdict.declared is None else f", {figure(verdict.declared, 's')} is expected"
     rms = float(np.sqrt(np.mean(np.square(fit.residuals)))) if fit.residuals.size else 0.0
     scatter = f"; rebounds scatter by {verdict.scatter:.2g}" if verdict.scatter else ""
     yield ReportLine(
@@ -88,46 +115,23 @@ def report(found: Identification) -> Iterator[ReportLine]:
         f"{counted(fit.residuals.size, 'stamp')} differ from the motion by {figure(rms, 's')}"
         f" rms{clock}{scatter}.",
     )
-    for kind, line in _about_events(found):
-        yield ReportLine(kind, line)
-    unknowns = found.start.size + found.family.size
-    if not fit.problem.samples and fit.residuals.size < unknowns + _SPARE:
-        stamps = counted(fit.residuals.size, "stamp")
-        yield ReportLine(
-            "warning", f"{stamps} are few for {unknowns} unknowns, the start among them."
-        )
-    names = [*found.family.names]
-    if OFFSET in names:
-        late = float(found.values[names.index(OFFSET)])
-        yield ReportLine("note", f"{OFFSET} is not written: `detect --latency {late:.6g}` has it.")
-    if found.undetermined:
-        yield ReportLine("warning", f"Not determined: {listed(found.undetermined)}.")
-    if found.bounded:
-        yield ReportLine(
-            "warning", f"At a bound, so the model may be wrong: {listed(found.bounded)}."
-        )
-    ahead = float(moments.each[0].t - moments.start)
-    inside = found.family.near(found.values).penetrated(found.start[: found.family.system.n])
-    where = f", inside the stop {found.run.system.contact_names[inside[0]]!r}" if inside else ""
-    kind = "warning" if inside else "note"
-    yield ReportLine(kind, f"The start is {ahead:.6g} s before the first impact{where}.")
+    for line in _about_events(found):
+        yield ReportLine("note", line)
 
 
-def _about_events(found: Identification) -> Iterator[tuple[str, str]]:
+def _about_events(found: Identification) -> Iterator[str]:
     """Yield lines on the events that are rejected or inserted, and on samples."""
     moments = found.fit.problem.moments
     inserted = [each for each in moments.each if not each.is_measured]
     rejected = [each for each in found.run.verdicts(moments) if each.ruling.name == "REJECTED"]
-    for count, what in (
-        (len(rejected), "rejected as spurious"),
-        (len(inserted), "inserted as missed"),
-    ):
-        if count:
-            yield "note", f"{counted(count, 'impact')} {what}."
+    counts = {"rejected as spurious": len(rejected), "inserted as missed": len(inserted)}
+    if any(counts.values()):
+        told = (f"{counted(n, 'impact')} {what}" for what, n in counts.items() if n)
+        yield f"{', '.join(told)}."
     for each in _sensors(found):
         samples = f"{counted(each['samples'], 'sample')} of {each['name']}"
         declared = f"{figure(each['deviation'])} is declared"
-        yield "note", f"{samples} differ by {figure(each['rms'])} rms; {declared}."
+        yield f"{samples} differ by {figure(each['rms'])} rms; {declared}."
 
 
 def _sensors(found: Identification) -> Iterator[dict[str, Any]]:
