@@ -88,6 +88,19 @@ def test_too_few_impacts_are_named_and_say_nothing_of_the_clock(
         assert "8 stamps are few for 7 unknowns" in said
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_fit_has_three_remarks_at_most(capsys: pytest.CaptureFixture[str]) -> None:
+    """Impacts are missing and false ones among them."""
+    faults = ["--missed", "0.2", "--spurious", "0.2"]
+    assert main(["simulate", "two_mass", "--duration", "30", *faults, "-o", "rig"]) == 0
+    capsys.readouterr()
+    main(["identify", "rig", "--free", "restitution"])
+    remarks = re.findall(r"(?m)^(?:warning|note) .*", capsys.readouterr().out)
+    assert len(remarks) <= 3
+    assert re.search(r"rejected .* inserted", " ".join(remarks))
+
+
 @pytest.mark.usefixtures("in_tmp_path")
 def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixture[str]) -> None:
     """A missing epoch is wrong use, in the words of observe."""
