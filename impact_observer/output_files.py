@@ -50,7 +50,9 @@ def check_output(path: Path, suffixes: Sequence[str] = (".png", ".svg", ".pdf"))
 
 
 def check_name(path: Path) -> None:
-    """Raise UsageError if the name of a file to be written is no UTF-8, as YAML and bags need."""
+    """Raise UsageError if a path has no name, or one that is no UTF-8, as YAML and bags need."""
+    if not path.name:
+        raise UsageError(f"{path}: is a folder; expected a name in it")
     try:
         path.name.encode()
     except UnicodeEncodeError:

@@ -151,6 +151,13 @@ def test_links_are_not_replaced(target: str, capsys: pytest.CaptureFixture[str])
     assert Path("out.svg").is_symlink()
 
 
+@pytest.mark.parametrize("name", ["/", "."])
+def test_a_folder_is_no_name_of_a_bag(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line, before the job."""
+    assert main(["simulate", "two_mass", "--duration", "1", "-o", name]) == 2
+    assert capsys.readouterr().err.startswith(f"impact-observer: {name}: ")
+
+
 @pytest.mark.parametrize("name", ["\udcff", "\udcff.png"])
 def test_a_name_that_is_not_utf8_is_one_line_before_the_job(
     name: str, capsys: pytest.CaptureFixture[str]

@@ -228,7 +228,8 @@ class _Spectrum:
         if unknown or system.live is not None:
             return np.full(system.m, np.nan), np.full(system.m, np.nan)
         elastic = self._shapes[:, self._r :] / self.undamped[self._r :]
-        rest = system.q_r + W.T @ elastic @ (elastic.T @ forcing.constant)
+        with np.errstate(over="ignore", invalid="ignore"):  # next to no stiffness
+            rest = system.q_r + W.T @ elastic @ (elastic.T @ forcing.constant)
         rest[np.any(np.abs(W.T @ self.rigid) > _CLEAN, axis=1)] = np.nan
         swing = np.zeros(system.m)
         for omega, force in zip(

@@ -208,7 +208,9 @@ class LinearMechanism:
         system, n = self.system, self.system.n
         forcing, inverse = system.forcing, np.linalg.inv(system.M)
         amplitude, pushed = np.zeros(2 * n), (inverse @ forcing.constant) ** 2
-        amplitude[:n] += (np.linalg.pinv(system.K, 1e-9, hermitian=True) @ forcing.constant) ** 2
+        with np.errstate(over="ignore", invalid="ignore"):  # next to no stiffness
+            held = np.linalg.pinv(system.K, 1e-9, hermitian=True) @ forcing.constant
+            amplitude[:n] += held**2
         soft = system.K + 1e-6 * np.trace(system.K) / n * np.eye(n) + 1e-12 * system.M
         for w, cos, sin in zip(forcing.frequency, forcing.cosine, forcing.sine, strict=True):
             dynamic = soft - w**2 * system.M + 1j * w * system.C

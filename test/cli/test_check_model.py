@@ -6,9 +6,12 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from impact_observer.cli import check_model
+from impact_observer.dynamics import mechanism_of
+from impact_observer.model import read_model
 
 CORNER = """
 name: corner
@@ -162,3 +165,13 @@ def test_declared_deviations_are_listed(
     known = {"name": "gap.s0", "value": 1.0, "deviation": 0.02, "unit": "m"}
     assert found["gap.s0"] == {**known, "observed": True}
     assert found["mass.x0"]["deviation"] == 0.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_next_to_no_stiffness_is_computed_in_silence(tmp_path: Path) -> None:
+    """The least number above zero, under a constant load: numpy says nothing."""
+    text = rows(1).replace("stiffness: 9", "stiffness: 5.0e-324")
+    path = written(tmp_path, f"{text}forces: [{{body: x0, constant: 1}}]\n")
+    assert check_model.run(parsed(path)) == 0
+    size, pushed = mechanism_of(read_model(path).system).forced()
+    assert not np.any(np.isnan([*size, *pushed]))
