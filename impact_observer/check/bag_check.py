@@ -21,7 +21,7 @@ from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
 from impact_observer.io.state_arrays import JointStates
-from impact_observer.model import System, parse_model
+from impact_observer.model import Model, System, parse_model
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.plain_text import say
 from impact_observer.stamps import text
@@ -120,7 +120,7 @@ class Report:
 
 def check_bag(
     path: Path,
-    system: System | RobotDescription | None = None,
+    model: Model | None = None,
     *,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Report:
@@ -128,7 +128,7 @@ def check_bag(
 
     Args:
         path: a rosbag2 folder, or a bare file.
-        system: system of the user's model; None for the model in the bag.
+        model: of the user; None for that in the bag.
         progress: called with the number of messages read and of all messages.
 
     Raises:
@@ -140,7 +140,7 @@ def check_bag(
             for done, raw in enumerate(reader.raw()):
                 counts[raw.topic] += 1
                 progress(done, reader.message_count)
-            found, events = _findings(reader, system)
+            found, events = _findings(reader, model)
             content = summary_of(reader, events)
     except BagError as error:
         reason = str(error).removeprefix(f"{path}: ")
@@ -153,19 +153,10 @@ def _name(path: Path) -> str:
     return path.name or str(path)
 
 
-def _findings(
-    reader: BagReader, system: System | RobotDescription | None
-) -> tuple[list[Finding], list[ImpactEvent]]:
+def _findings(reader: BagReader, model: Model | None) -> tuple[list[Finding], list[ImpactEvent]]:
     """All findings, and the impacts."""
     name, found, events = _name(reader.path), [*_incomplete(reader)], list[ImpactEvent]()
-    if system is None:
-        try:
-            text_of_model, fault = reader.model_text(), "carries no model (/plant/model)"
-            system = parse_model(text_of_model, "model").subject if text_of_model else None
-        except (BagError, ModelError) as error:
-            fault = f"the model it carries is not valid ({error})"
-        if system is None:
-            found.append(Finding(WARNING, name, fault, remedy="name one with --model MODEL"))
+    system = _subject(reader, model, found)
     if topic := _topic(reader, interfaces.IMPACTS, found):
         try:
             events = [*reader.events(topic)]
@@ -183,6 +174,25 @@ def _findings(
         fault = f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})"
         found.append(Finding(NOTE, name, fault, remedy="observe needs --rate"))
     return found, events
+
+
+def _subject(
+    reader: BagReader, model: Model | None, found: list[Finding]
+) -> System | RobotDescription | None:
+    """The system of the user's model, else of the bag's; faults are added to those ``found``."""
+    name, fault = _name(reader.path), "carries no model (/plant/model)"
+    if model is None:
+        try:
+            text_of_model = reader.model_text()
+            model = parse_model(text_of_model, "the model") if text_of_model else None
+        except (BagError, ModelError) as error:
+            fault = f"the model it carries is not valid ({error})"
+    if model is None:
+        found.append(Finding(WARNING, name, fault, remedy="name one with --model MODEL"))
+        return None
+    if model.misfit:
+        found.append(Finding(WARNING, name, model.misfit))
+    return model.subject
 
 
 def _topic(reader: BagReader, own: interfaces.Interface, found: list[Finding]) -> str | None:

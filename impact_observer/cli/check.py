@@ -24,10 +24,10 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
 
-    system = None if args.model is None else read_model(args.model).subject
+    model = None if args.model is None else read_model(args.model)
     with Progress() as progress:
         report = check_bag(
-            args.bag, system, progress=lambda done, total: progress.step("check", done, total)
+            args.bag, model, progress=lambda done, total: progress.step("check", done, total)
         )
     if args.json:
         say(json.dumps(report.for_json(), indent=2, default=str))

@@ -5,9 +5,11 @@ No truth is needed. A band is two standard deviations wide on either side.
 """
 
 import argparse
+from contextlib import suppress
 from pathlib import Path
 
 from impact_observer.cli.arguments import PART, add_shared, names
+from impact_observer.errors import ModelError, UnfitBagError
 from impact_observer.plain_text import say
 
 
@@ -30,6 +32,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.draw.recorded_motion import drawn_topics, read_motion
     from impact_observer.io.bag_part import read_part
     from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import model_of
     from impact_observer.output_files import check_output
 
     check_output(args.output)
@@ -42,6 +45,9 @@ def run(args: argparse.Namespace) -> int:
         chosen = chosen_coordinates(motion, args.select)
         progress.show(f"drawing {args.output}")
         save(motion_picture(motion, chosen), args.output, about=args.bag.name)
+        with suppress(UnfitBagError, ModelError):
+            if misfit := model_of(reader).misfit:
+                say(f"warning: {misfit}")
     begin, end = motion.ends
     say(f"picture: {args.output}, {begin:.3f} to {end:.3f} s of {args.bag}")
     if left := len(motion.coordinates) - len(chosen) if args.select is None else 0:

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 def findings(*, usable: bool, name: str | None = None) -> list[Finding]:
     """The findings in ``bag``, against a given model or that of the bag."""
-    report = check_bag(Path("bag"), None if name is None else read_model(name).system)
+    report = check_bag(Path("bag"), None if name is None else read_model(name))
     assert report.usable is usable
     assert all("\n" not in each.line for each in report.findings)
     return report.findings

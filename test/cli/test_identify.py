@@ -198,6 +198,9 @@ def test_the_verdict_on_a_model_stays_with_it(capsys: pytest.CaptureFixture[str]
         ["observe", "rig", "--law", "minimum-variance", *states, "observed"],
         ["smooth", "rig", *states, "smoothed"],
         ["check-model", "stones.yaml", "rig"],
+        ["check", "rig"],
+        ["check", "bag", "--model", "stones.yaml"],
+        ["plot", "observed", "-o", "observed.png"],
         ["identify", "rig", *words, "again.yaml"],
     ):
         capsys.readouterr()
