@@ -4,7 +4,8 @@
     ros2 launch impact_observer demo.launch.py model:=three_mass duration:=0
 
 The observers receive the plant's impacts only, and start from a wrong state. Watch
-`/monitor_geometric/error` go to zero, or record with `ros2 bag record -a`.
+`/monitor_geometric/error` go to zero, or make a bag by record:=FOLDER. Security is the environment
+of ros2 launch (docs/security.md).
 """
 
 import time
@@ -22,6 +23,7 @@ from impact_observer.ros.wiring import (
     monitors,
     observers,
     plant,
+    recording,
 )
 
 
@@ -53,6 +55,7 @@ def generate_launch_description() -> LaunchDescription:
                 "epoch", default_value=str(time.time_ns()), description="stamp of t = 0 [ns]; now"
             ),
             *local_discovery(),
+            *recording(),
             OpaqueFunction(function=_nodes),
         ]
     )
@@ -69,7 +72,8 @@ def _nodes(context: LaunchContext) -> list[Node]:
         rate=float(given["rate"]),
         epoch=int(given["epoch"]),
     )
-    return [_node(each) for each in (*observers(setup), *monitors(setup), plant(setup))]
+    served = plant(setup, recorders=int(bool(given["record"])))
+    return [_node(each) for each in (*observers(setup), *monitors(setup), served)]
 
 
 def _node(node_setup: NodeSetup) -> Node:

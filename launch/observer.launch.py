@@ -5,6 +5,7 @@
 
 An argument beats params_file; one that is left out stays as the file, else the node, has it.
 Several observers live side by side under names of their own, such as name:=observer_kinematic.
+record:=FOLDER makes a bag. Security is the environment of ros2 launch (docs/security.md).
 """
 
 from launch import LaunchContext, LaunchDescription
@@ -20,6 +21,7 @@ from impact_observer.ros.wiring import (
     given_parameters,
     local_discovery,
     parameter_arguments,
+    recording,
 )
 
 SIM_TIME = Option("use_sim_time", False, "follow /clock, of a simulation or a bag")
@@ -45,6 +47,7 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument("monitor_name", default_value="monitor", description="its name"),
             *local_discovery(),
+            *recording(),
             OpaqueFunction(function=_nodes),
         ]
     )

@@ -6,6 +6,7 @@
 
 The observer receives impacts, encoders and efforts only. Compare `/observer/joint_states` with
 `/plant/joint_states`. A robot of one's own: model:=arm.yaml measurements:=encoders.yaml
+record:=FOLDER makes a bag. Security is the environment of ros2 launch (docs/security.md).
 """
 
 from launch import LaunchContext, LaunchDescription
@@ -14,7 +15,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.model import read_model
-from impact_observer.ros.wiring import following, local_discovery
+from impact_observer.ros.wiring import following, local_discovery, recording
 
 ARGUMENTS = {
     "model": ("hammer_arm", "a model file of a robot, or a sample's name"),
@@ -35,6 +36,7 @@ def generate_launch_description() -> LaunchDescription:
                 for name, (default, meaning) in ARGUMENTS.items()
             ),
             *local_discovery(),
+            *recording(),
             OpaqueFunction(function=_nodes),
         ]
     )

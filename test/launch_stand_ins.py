@@ -25,11 +25,12 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 (YAML holds anything)
 
 @dataclass
 class LaunchContext:
-    """The values of arguments, the environment, and the nodes so far."""
+    """The values of arguments, the environment, and the nodes and commands so far."""
 
     launch_configurations: dict[str, str] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
     nodes: list["Node"] = field(default_factory=list)
+    processes: list[list[str]] = field(default_factory=list)
 
 
 @dataclass
@@ -159,6 +160,18 @@ class Node(Action):
         context.nodes.append(self)
 
 
+@dataclass(kw_only=True)
+class ExecuteProcess(Action):
+    """A command."""
+
+    cmd: list[str]
+    output: str = "log"
+
+    def execute(self, context: LaunchContext) -> None:
+        """Keep it instead of starting a process."""
+        context.processes.append(self.cmd)
+
+
 @dataclass
 class LaunchDescription:
     """What a launch file describes."""
@@ -208,6 +221,7 @@ MODULES: dict[str, dict[str, object]] = {
         each.__name__: each
         for each in (
             DeclareLaunchArgument,
+            ExecuteProcess,
             IncludeLaunchDescription,
             OpaqueFunction,
             SetEnvironmentVariable,

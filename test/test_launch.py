@@ -33,8 +33,10 @@ PARAMETER_FILES = sorted(ROOT.glob("config/nodes/*.yaml"))
 EPOCH = 1_700_000_000_123_456_789
 
 ARGUMENTS = {
-    "demo": {"model", "laws", "duration", "realtime_factor", "initial_state", "rate", "epoch"},
+    "demo": {"model", "laws", "duration", "realtime_factor", "initial_state", "rate", "epoch"}
+    | {"record"},
     "robot": {
+        "record",
         "model",
         "measurements",
         "measurement_rate",
@@ -46,7 +48,16 @@ ARGUMENTS = {
     "detector": {p.name for p in TABLES["detector"]}
     | {"use_sim_time", "params_file", "namespace", "impacts"},
     "observer": {p.name for p in TABLES["observer"]}
-    | {"use_sim_time", "params_file", "name", "namespace", "impacts", "monitor", "monitor_name"},
+    | {
+        "use_sim_time",
+        "params_file",
+        "name",
+        "namespace",
+        "impacts",
+        "monitor",
+        "monitor_name",
+        "record",
+    },
 }
 
 
@@ -102,6 +113,7 @@ class Launcher:
 
     launch: ModuleType
     nodes: list[Started]
+    commands: list[list[str]] = field(default_factory=list)
 
     def load(self, name: str) -> Any:  # noqa: ANN401 (launch has no types)
         """The description in a launch file."""
@@ -117,10 +129,12 @@ class Launcher:
         context = self.launch.LaunchContext()
         context.launch_configurations.update(given)
         self.nodes.clear()
+        self.commands.clear()
         entities = [self.load(file) if isinstance(file, str) else self.load_file(file)]
         while entities:
             entities = (entities.pop(0).visit(context) or []) + entities
         if isinstance(context, launch_stand_ins.LaunchContext):
+            self.commands = context.processes
             return [described(node, context) for node in context.nodes]
         return list(self.nodes)
 
@@ -135,13 +149,17 @@ def launcher(monkeypatch: pytest.MonkeyPatch) -> Launcher:
     launch = importlib.import_module("launch")
     perform = importlib.import_module("launch.utilities").perform_substitutions
     nodes: list[Started] = []
+    commands: list[list[str]] = []
 
     def execute(action: Any, context: Any) -> None:  # noqa: ANN401
-        arguments = [perform(context, list(part)) for part in action.cmd[1:]]
-        nodes.append(started(action.node_executable, arguments))
+        words = [perform(context, list(part)) for part in action.cmd]
+        if isinstance(action, launch_ros.Node):
+            nodes.append(started(action.node_executable, words[1:]))
+        else:
+            commands.append(words)
 
     monkeypatch.setattr(launch_ros.Node.__mro__[1], "execute", execute)
-    return Launcher(launch, nodes)
+    return Launcher(launch, nodes, commands)
 
 
 def demo_nodes(duration: float) -> list[Started]:
@@ -378,6 +396,20 @@ def test_observer_launch_starts_a_monitor_on_request(launcher: Launcher) -> None
         {"model": "rig.yaml", "law": "kinematic"},
         {"observer/joint_states": "observer_kinematic/joint_states"},
     )
+
+
+@pytest.mark.parametrize("name", ["demo", "observer", "robot"])
+def test_launches_with_observers_record_on_request(launcher: Launcher, name: str) -> None:
+    """All topics, into the given folder; the demonstration's plant waits for the recorder."""
+    launched = launcher.run(name)
+    assert launcher.commands == []
+    recorded = launcher.run(name, record="rig")
+    (command,) = launcher.commands
+    assert command[:3] == ["ros2", "bag", "record"]
+    assert command[-2:] == ["-o", "rig"]
+    wait = "wait_for_subscribers"
+    added = sum(n.parameters.get(wait, 0) for n in recorded)
+    assert added - sum(n.parameters.get(wait, 0) for n in launched) == (name == "demo")
 
 
 def test_robot_launch_starts_plant_observer_and_frames(launcher: Launcher) -> None:

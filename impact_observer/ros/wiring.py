@@ -42,6 +42,26 @@ def local_discovery() -> tuple[Any, Any]:
     )
 
 
+def recording() -> tuple[Any, Any]:
+    """The launch argument ``record``, and the action that records all topics into a new bag."""
+    from launch.actions import DeclareLaunchArgument, OpaqueFunction
+
+    meaning = "a folder to make: a bag of all topics"
+    return (
+        DeclareLaunchArgument("record", default_value="", description=meaning),
+        OpaqueFunction(function=_recorder),
+    )
+
+
+def _recorder(context: Any) -> list[Any]:  # noqa: ANN401 - launch has no types
+    """The recorder, if a folder is given."""
+    from launch.actions import ExecuteProcess
+
+    folder = context.launch_configurations["record"]
+    command = ["ros2", "bag", "record", "-a", "-s", "mcap", "-o", folder]
+    return [ExecuteProcess(cmd=command, output="screen")] if folder else []
+
+
 def parameter_arguments(table: Sequence[Option], sample: str) -> list[Any]:
     """The launch arguments ``params_file``, such as a ``sample``, and one a parameter.
 
