@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from systems import jammed
 
 pytest.importorskip("rclpy")
@@ -117,15 +118,27 @@ def assert_live_is_offline(bag: Path, law: str) -> None:
 
 
 def test_a_demonstration_that_falls_short_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After two seconds the goal is not reached: exit code 1, and the ratio is named."""
+    """After two seconds the goal is not reached: exit code 1, and the ratio is named.
+
+    The picture has truth and estimate of each coordinate, and V below.
+    """
+    drawn = list[Figure]()
+    monkeypatch.setattr("impact_observer.draw.pictures.save", lambda each, _: drawn.append(each))
     run, bag = str(tmp_path / "run"), tmp_path / "bag"
     assert main(["simulate", "two_mass", "--duration", "2", "-o", run]) == 0
     law = ["--law", "geometric", "--initial-state", "random:1"]
     assert main(["observe", run, *law, "-o", str(bag)]) == 0
     assert check_result(bag, tmp_path / "lyapunov.png") == 1
     assert "too much: the goal is 0.01" in capsys.readouterr().out
+    (picture,) = drawn
+    picture.draw_without_rendering()
+    below = [axes for axes in picture.axes if axes.get_ylabel() == "Lyapunov distance V [J]"]
+    above = [axes for axes in picture.axes if axes.get_ylabel().startswith(("x1", "dx2"))]
+    assert [len(axes.lines) for axes in above] == [2, 2]
+    assert len(below) == 1
+    assert all(axes.bbox.ymin > below[0].bbox.ymax for axes in above)
 
 
 def test_a_model_that_the_plant_cannot_follow_ends_the_demonstration(

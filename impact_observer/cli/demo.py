@@ -86,19 +86,30 @@ def run(args: argparse.Namespace) -> int:
 
 def check_result(bag: Path, picture: Path) -> int:
     """Compare, draw, and check the geometric law: the exit code of the demonstration."""
+    from matplotlib.figure import Figure
+
     from impact_observer.compare.bag_comparison import compare_bag, labelled_by_law
     from impact_observer.compare.distance_picture import distance_picture
     from impact_observer.compare.error_tables import print_tables
+    from impact_observer.draw.motion_picture import chosen_coordinates, motion_picture
     from impact_observer.draw.pictures import save
+    from impact_observer.draw.recorded_motion import read_motion
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
 
     with BagReader(bag) as reader:
         result = compare_bag(reader, model_of(reader).system)
+        motion = read_motion(reader)
     results = [(bag, result)]
     labelled = labelled_by_law(results)
     print_tables(labelled)
-    save(distance_picture(labelled, results), picture)
+    chosen = chosen_coordinates(motion, None)
+    heights = 2.0 + 1.5 * len(chosen), 5.0
+    drawn = Figure(figsize=(10.0, sum(heights)), layout="constrained")
+    above, below = drawn.subfigures(2, squeeze=False, height_ratios=heights)[:, 0]
+    motion_picture(motion, chosen, above)
+    distance_picture(labelled, results, below)
+    save(drawn, picture)
     say(f"picture: {picture}\nbag:     {bag}")
     ratio = labelled[LAWS[0]].ratio
     if ratio is None:

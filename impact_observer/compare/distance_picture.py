@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from impact_observer.compare.bag_comparison import BagComparison
@@ -25,9 +26,11 @@ _LONGEST = _ROOM - _HANDLE
 
 
 def distance_picture(
-    labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
+    labelled: Mapping[str, Comparison],
+    results: Sequence[tuple[Path, BagComparison]],
+    part: SubFigure | None = None,
 ) -> Figure:
-    """V of all estimates, by their labels, in one picture."""
+    """V of all estimates, by their labels, in one picture, or in a part of one."""
     rest, since = iter(labelled.items()), {}
     for _, result in results:
         for label, each in islice(rest, len(result.comparisons)):
@@ -36,7 +39,7 @@ def distance_picture(
     names = ", ".join(dict.fromkeys(result.system.name for _, result in results))
     title = f"{names}: distance of the estimates from the truth"
     zero = TimeZero(0, instants)
-    return lyapunov_picture(since, _impacts(results), title=title, zero=zero)
+    return lyapunov_picture(since, _impacts(results), title=title, zero=zero, part=part)
 
 
 def _impacts(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, Stamps]:
@@ -68,6 +71,7 @@ def lyapunov_picture(
     *,
     title: str,
     zero: TimeZero,
+    part: SubFigure | None = None,
 ) -> Figure:
     """``V`` over time on a logarithmic axis, after Figure 2 of Baumann and Leine.
 
@@ -76,8 +80,9 @@ def lyapunov_picture(
         impacts: stamps of the impacts (ns), by contact.
         title: of the picture.
         zero: of the time axis.
+        part: of a picture, to draw there; None for a new picture.
     """
-    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    figure = cast("Figure", part or Figure(figsize=(8.0, 5.0), layout="constrained"))
     axes = figure.add_subplot()
     drawn = styles([each.law for each in comparisons.values()])
     for (label, each), style in zip(comparisons.items(), drawn, strict=True):

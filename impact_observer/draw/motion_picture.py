@@ -2,10 +2,11 @@
 """The picture of a recorded motion: coordinates over time with deviations, and impacts."""
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -46,7 +47,9 @@ def chosen_coordinates(motion: RecordedMotion, names: Sequence[str] | None) -> l
     return sorted(np.argsort(-size, kind="stable")[:MOST_COORDINATES].tolist())
 
 
-def motion_picture(motion: RecordedMotion, coordinates: Sequence[int]) -> Figure:
+def motion_picture(
+    motion: RecordedMotion, coordinates: Sequence[int], part: SubFigure | None = None
+) -> Figure:
     """Draw positions at the left and velocities at the right, a row for each coordinate.
 
     Above is a row of marks for each contact, below are the standard deviations on a logarithmic
@@ -55,12 +58,14 @@ def motion_picture(motion: RecordedMotion, coordinates: Sequence[int]) -> Figure
     Args:
         motion: of plant and estimates.
         coordinates: places of the coordinates that are drawn.
+        part: of a picture, to draw there; None for a new picture.
     """
     drawn, marks = _styles(motion), motion.marks
     n, banded = len(motion.coordinates), _has_bands(motion)
     strip = [_ROW * (len(marks) + 1)] if marks else []
     heights = [*strip, *[_PANEL] * (len(coordinates) + banded)]
-    figure = Figure(figsize=(_WIDTH, _REST + sum(heights)), layout="constrained")
+    size = _WIDTH, _REST + sum(heights)
+    figure = cast("Figure", part or Figure(figsize=size, layout="constrained"))
     grid = figure.subplots(len(heights), 2, sharex=True, squeeze=False, height_ratios=heights)
     for axes, rows in zip(grid[0], ([*marks], [""] * len(marks)), strict=True) if marks else ():
         _draw_marks(axes, motion, rows)
