@@ -33,7 +33,7 @@ _SHARE = 1 / 3
 """The same over the time since the call before: so that a backlog becomes shorter, though
 estimates take as long again.
 """
-_FEW = 50
+_FEW = 20
 """Instants of a call whose samples are used without a look at their cost."""
 _COUNTED = 20
 """Samples from which on the rate of a sensor is known."""
