@@ -114,9 +114,11 @@ def test_deviations_of_the_model_are_said_once_a_bag(
     """That the model was fitted to these impacts; not among figures."""
     text = shared("config/two_mass.yaml").read_text(encoding="utf-8")
     model = tmp_path / "model.yaml"
+    with BagReader(plant_bag) as reader:
+        last = max(each.stamp for each in reader.events())
     model.write_text(
         text + "uncertainty: {names: [restitution.stop], covariance: [[4.0e-4]],"
-        " fitted_to: {first: 0, last: 2000000000000000000}}\n"
+        f" fitted_to: {{first: 0, last: {last}}}}}\n"
     )
     arguments = ["compare", str(plant_bag), "--laws", "all", "--model", str(model)]
     assert main(arguments) == 0
