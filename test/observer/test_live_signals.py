@@ -61,7 +61,7 @@ def final_estimates(observer: Observer, stamps: NDArray[np.int64]) -> Array:
 
 
 @pytest.mark.parametrize(
-    "law", ["geometric", pytest.param("minimum-variance", marks=pytest.mark.slow)]
+    "law", ["geometric", pytest.param("minimum-variance", marks=pytest.mark.long)]
 )
 def test_estimates_are_those_of_all_samples_whatever_came_when(law: str) -> None:
     """To the bit: all samples first; in order with events; and a twentieth of them late."""

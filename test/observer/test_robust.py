@@ -331,6 +331,7 @@ def test_a_silence_with_more_missed_impacts_than_are_inserted_is_not_synchronize
         assert watcher.obstacle(now.stamp)
 
 
+@pytest.mark.long
 def test_a_jump_of_the_clock_by_an_hour_is_soon_found_hopeless() -> None:
     """The hour is silence, and after three events the estimate is wide."""
     watcher, hour = locked(13), 3600.0
@@ -370,7 +371,7 @@ def test_wrong_start_with_tiny_deviation_is_corrected(seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("seed", "pause"),
-    [(0, 1), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1, 1), (0, 60)))],
+    [(0, 1), *(pytest.param(*each, marks=pytest.mark.long) for each in ((1, 1), (0, 60)))],
 )
 def test_estimate_converges_again_after_the_plant_was_disturbed(seed: int, pause: int) -> None:
     """The state of the plant jumps after the estimate has converged; the pause may be long.

@@ -150,6 +150,7 @@ def test_one_command_gives_numbers_table_and_picture(
     assert [float(row["speed_before"]) for row in table] == pytest.approx(estimates)
 
 
+@pytest.mark.long
 def test_the_sources_that_are_written_repeat_the_detection(run: Run, rig: Path) -> None:
     """The same impacts by ``--sources out/sources.yaml``."""
     recording = oscilloscope(run, rig).name
