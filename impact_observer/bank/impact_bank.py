@@ -140,8 +140,8 @@ class ImpactBank:
         rows = self._begun(x, root, held)
         never = np.full(self.m, -np.inf)
         size = np.where(self._size > _SMALL, self._size, deviations)
-        bank = Bank(t, rows, x.copy(), size**2 / 2, self._intensity(size), self.nominal, never)
-        return bank._replace(closed=held)
+        known = size**2 / 2, self._intensity(size), self.nominal, never
+        return Bank(t, rows, x.copy(), *known, closed=held)
 
     def _intensity(self, sizes: Vector) -> tuple[float, ...]:
         """Of the accelerations of a motion of some size, to a factor of two, or as declared."""
@@ -185,8 +185,7 @@ class ImpactBank:
 
         The last one is kept: the estimate of an impact asks for it again.
         """
-        sampled = self.family.system.forcing.sampled
-        forces = None if sampled is None else sampled.time  # replaced where samples come
+        forces = self.family.system.forcing.sampled_at
         if self._before is not None:
             rows, known, asked, found = self._before
             if rows is bank.rows and known is forces and asked == (bank.t, t, named):

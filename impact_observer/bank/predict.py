@@ -198,17 +198,18 @@ class Flights:
         """
         if leg.s > self.mechanism.stride or rows.held.any() or rows.paid.any():
             return None
-        later = self.flown(
-            rows, leg._replace(held=()), np.zeros(rows.size), np.full(rows.size, leg.s)
-        )
-        third = leg.s / 3
-        for each, ahead in ((rows, third), (later, -third)):
-            g, gamma, _ = self.mechanism.gaps(each.x[:, : self.d])
-            if self.p:
-                g = g + self.beside(each.x) @ self.mechanism.gap_slopes.T
-            if not ((g > 0) & (g + ahead * gamma > 0)).all():
-                return None
-        return later
+        if not self._is_clear(rows.x, leg.s / 3):
+            return None
+        leg = leg._replace(held=())
+        later = self.flown(rows, leg, np.zeros(rows.size), np.full(rows.size, leg.s))
+        return later if self._is_clear(later.x, -leg.s / 3) else None
+
+    def _is_clear(self, x: Array, s: float) -> bool:
+        """Whether gaps of states (H, N) are above zero, and ``s`` seconds on at their speeds."""
+        g, gamma, _ = self.mechanism.gaps(x[:, : self.d])
+        if self.p:
+            g = g + self.beside(x) @ self.mechanism.gap_slopes.T
+        return bool(((g > 0) & (g + s * gamma > 0)).all())
 
     def _likely(
         self, rows: Hypotheses, start: Vector, left: int, best: float

@@ -39,8 +39,8 @@ _UNKNOWN_PHASE = 1.0
 """Deviation of a phase from which on all phases are tried, rad."""
 _FIRST_ROUNDS = 4
 """Linearisations by which phases are compared."""
-_NEAR_ROUNDS = 10
-"""Linearisations with parameters near the given ones, from which a search goes on."""
+_NEAR, _NEAR_ROUNDS = 0.03, 10
+"""Deviations of parameters over their sizes with which a search begins, and its linearisations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +162,7 @@ def _from_phases(
         if is_phase(name) and deviations[j] >= _UNKNOWN_PHASE
     ]
     if theta is not None or not unknown:
-        narrow = np.diag(np.minimum(deviations, _SHARES[1] * family.sizes))
+        narrow = np.diag(np.minimum(deviations, _NEAR * family.sizes))
         near = fitted(replace(problem, theta=narrow), theta=theta, rounds=_NEAR_ROUNDS, show=show)
         return fitted(problem, near, theta=near.values, show=show)
     begun = []

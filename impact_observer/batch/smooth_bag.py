@@ -129,9 +129,10 @@ def smooth_bag(
     own = [*_ESTIMATES, _VERDICTS, _IMPACTS, _IMPACT_ESTIMATES]
     with all_or_nothing(output) as writer:
         if text is not None:
-            own.append(interfaces.PLANT_MODEL.topic)
-            writer.declare(own[-1])
-            writer.write(own[-1], events[0].stamp, bag_messages().model(text))
+            topic = interfaces.PLANT_MODEL.topic
+            own.append(topic)
+            writer.declare(topic)
+            writer.write(topic, events[0].stamp, bag_messages().model(text))
         topics, not_copied = carried_topics(reader, writer, own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
         estimates = _estimates(writer, model.subject.coordinates, runs, stamps, progress)

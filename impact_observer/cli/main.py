@@ -105,8 +105,9 @@ def _run(argv: Sequence[str]) -> int:
     if unknown:
         words = " ".join(unknown)
         why = "CHANGELOG.rst has what went in 0.4.0"
-        if unknown[0].removeprefix("--").partition("=")[0] in (*TABLE, *UNUSUAL_TABLE):
-            name, value = (*unknown[0].removeprefix("--").split("="), *unknown[1:], "true")[:2]
+        name, *values = unknown[0].removeprefix("--").split("=")
+        if name in (*TABLE, *UNUSUAL_TABLE) and hasattr(args, "sources"):
+            value = (*values, *unknown[1:], "true")[0]
             why = f"write table: {{{name.replace('-', '_')}: {value}}} into a file for --sources"
         subparsers.choices[args.command].error(f"unrecognized arguments: {words}; {why}")
     if outputs := getattr(args, "outputs", ()):

@@ -19,8 +19,9 @@ from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between, text
 
 EPOCH, FIRST_IMPACT, FIRST_STATE = "the epoch", "the first impact", "the first state"
-FILE_ZERO = "the file's time 0"
 """Instants at which the time of a bag may be zero, in words."""
+FILE_ZERO = "the file's time 0"
+"""That of a file which is no bag."""
 FIRST_SAMPLE = "the first sample"
 """Where a motion begins if nothing says the epoch, and samples come before the first impact."""
 FIRST_MESSAGE = "the first message of the sensors"

@@ -63,6 +63,11 @@ class Forcing:
         """Instant of the last sample, s since the epoch; infinity without samples."""
         return np.inf if self.sampled is None else self.sampled.end
 
+    @property
+    def sampled_at(self) -> Vector | None:
+        """Instants of the samples, s since the epoch: another array once live samples come."""
+        return None if self.sampled is None else self.sampled.time
+
     def held(self, t: float) -> str:
         """A warning if ``t``, s since the epoch, is after the last sample; otherwise empty."""
         if t <= self.end:

@@ -688,6 +688,8 @@ class Observer:
         s = (stamps - entry.since) / NS_PER_S
         every = prediction.replicas(s)
         every[:, s <= 0] = entry.belief.replicas[: len(every), None]
+        if self.system.frame is None:
+            return every
         pairs = zip((stamps - self.epoch).tolist(), s.clip(0.0).tolist(), strict=True)
         found = (prediction.of_grounds(*pair) for pair in pairs)
         if learned := [each[0] for each in found if each is not None]:

@@ -258,8 +258,7 @@ def _threshold(
     """
     falling = np.append(np.sort(heights)[::-1], floor)
     number = np.arange(1, falling.size)
-    with np.errstate(divide="ignore"):  # a floor of zero
-        score = np.log(falling[:-1] / falling[1:])
+    score = np.log(falling[:-1] / falling[1:])
     if count is not None:
         score -= _PRIOR * np.abs(np.log(number / count))
     k = int(np.argmax(score))

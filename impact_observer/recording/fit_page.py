@@ -46,10 +46,6 @@ _NUMBERS, _DOUBTS = 5, 4
 """Identified numbers and doubts that are printed, each a line."""
 
 
-def _silent(_done: int, _total: int) -> None:
-    """Show no progress."""
-
-
 @dataclass(frozen=True, slots=True)
 class Page:
     """What a fit has to say.
@@ -156,7 +152,7 @@ def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list
     system = fit.model.system
     with BagReader(folder / "smoothed") as reader:
         zero = TimeZero(impacts.zero, FILE_ZERO) if impacts.zero else time_zero(reader)
-        write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], _silent, zero))
+        write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], lambda *_: None, zero))
         hits = impact_estimates(reader)[_IMPACTS]
         blocks = [
             (block.stamps, block.q, deviations_in(block)[:, : system.n])
@@ -182,8 +178,7 @@ def _write_detection(impacts: RecordedImpacts, folder: Path, name: str) -> None:
     text = sources_text(impacts.sources)
     (folder / "sources.yaml").write_text(text, encoding="utf-8")
     title = f"{name} is being fitted"
-    zero = impacts.zero or impacts.epoch
-    picture = signal_picture(_signals(impacts), zero=zero, title=title)
+    picture = signal_picture(_signals(impacts), zero=impacts.zero or impacts.epoch, title=title)
     save(picture, folder / "motion.png")
 
 

@@ -146,7 +146,7 @@ class RobotMechanism:
         after = np.empty_like(x)
         Phi, Gamma = np.empty((*x.shape, x.shape[1])), np.empty((*x.shape, self.theta.size))
         near = self._near_first(t, x, s)
-        for k, (course, seconds) in self._flights(t, x, s, held, near):
+        for k, course, seconds in self._flights(t, x, s, held, near):
             after[k] = course.state(seconds)
             Phi[k], Gamma[k] = course.maps(seconds)
         if near.any():
@@ -166,7 +166,7 @@ class RobotMechanism:
         """White torques and accelerations along the motion of each state, step by step."""
         given, found = np.array(intensity), np.empty((*x.shape, x.shape[1]))
         near = self._near_first(t, x, s)
-        for k, (course, seconds) in self._flights(t, x, s, held, near):
+        for k, course, seconds in self._flights(t, x, s, held, near):
             found[k] = course.noise(seconds, given)
         found[near] = found[0]
         return found
@@ -234,7 +234,7 @@ class RobotMechanism:
         steps = max(math.ceil(float(s.max()) / self.window), 1)
         ends = np.minimum(np.arange(steps + 1)[:, None] * self.window, s)
         states = np.empty((steps + 1, *x.shape))
-        for h, (course, _) in self._flights(t, x, s, held):
+        for h, course, _ in self._flights(t, x, s, held):
             states[:, h] = [course.state(each) for each in ends[:, h].tolist()]
         return states, ends
 
@@ -324,19 +324,17 @@ class RobotMechanism:
         s: Vector,
         held: Contacts,
         left_out: NDArray[np.bool_] | None = None,
-    ) -> list[tuple[int, tuple[RobotCourse, float]]]:
+    ) -> list[tuple[int, RobotCourse, float]]:
         """Numbers of states, the course of each and the duration of its flight; none ``left_out``.
 
         The latest courses are kept.
         """
         robot, courses = self.system, self._courses
-        sampled = robot.forcing.sampled
-        known = None if sampled is None else sampled.time  # replaced where samples come
-        if known is not self._known:
+        if robot.forcing.sampled_at is not self._known:
             courses.clear()
-            self._known = known
+            self._known = robot.forcing.sampled_at
         times, lengths = list(t), s.tolist()
-        found = list[tuple[int, tuple[RobotCourse, float]]]()
+        found = list[tuple[int, RobotCourse, float]]()
         for k in range(len(x)) if left_out is None else np.flatnonzero(~left_out).tolist():
             at, seconds = times[min(k, len(times) - 1)], lengths[min(k, len(lengths) - 1)]
             asked = at, seconds < 0, held, x[k].tobytes()
@@ -346,7 +344,7 @@ class RobotMechanism:
                 if len(courses) == _KEPT:
                     courses.popitem(last=False)
             courses[asked] = course  # the last to be forgotten
-            found.append((k, (course, seconds)))
+            found.append((k, course, seconds))
         return found
 
 
