@@ -28,7 +28,6 @@ from impact_observer.model.system import moving_system
 from impact_observer.observer import Observer, ReplicaLaw, law_named
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.plant import Plant, Run, simulate
@@ -339,7 +338,7 @@ def switched(
         stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
         change, closed = ContactChange(t, closed, hit, stays), stays
         try:
-            states = list(law.correct(change, Belief(Ensemble.of(np.array(states)))).replicas)
+            states = list(law.correct(change, Belief.of(np.array(states))).replicas)
         except ImpactLawError:
             assume(False)
         yield states, True

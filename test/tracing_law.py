@@ -6,11 +6,11 @@ from typing import ClassVar
 import numpy as np
 from systems import system
 
+from impact_observer.dynamics import mechanism_of
 from impact_observer.errors import ImpactLawError
 from impact_observer.observer import Belief, Law
 from impact_observer.observer.belief import Prediction
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Timeline
 from impact_observer.states import Matrix, Vector
@@ -29,7 +29,7 @@ class TracingLaw(Law):
     def begin(self, replicas: Matrix, root: Matrix, closed: tuple[int, ...]) -> Belief:
         """The number that is given."""
         del root, closed
-        return Belief(Ensemble.of(replicas))
+        return Belief.of(replicas)
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
         """Another number; what is hit and closed leaves its trace, too."""
@@ -38,7 +38,7 @@ class TracingLaw(Law):
             raise ImpactLawError("no solution")
         trace = hash((change.stamp, change.sequence, change.hit, change.closed)) % 97
         x = [float((31 * before + trace) % 1_000_003), float(change.stamp)]
-        return Belief(Ensemble.of(np.array([x])))
+        return Belief.of(np.array([x]))
 
     def predict(self, t: float, posterior: Belief, closed: tuple[int, ...]) -> Prediction:
         """The same number."""
@@ -66,7 +66,9 @@ class _Standing(Prediction):
 
 def traced(history: int = 1000) -> Timeline:
     """A timeline that has begun with the number 1 at stamp 0, with a ``history`` in ns."""
-    timeline = Timeline(TracingLaw(SYSTEM), SynchronizationTest(SYSTEM), history)
+    timeline = Timeline(
+        TracingLaw(SYSTEM), SynchronizationTest(SYSTEM, mechanism_of(SYSTEM)), history
+    )
     timeline.begin(np.array([[1.0, 0.0]]), np.zeros((2, 2)), 0, 0)
     return timeline
 

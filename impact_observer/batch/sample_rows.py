@@ -12,8 +12,7 @@ from impact_observer.batch.passes import MeasuredRow
 from impact_observer.dynamics.tangent import Tangent
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer.readings import sensors_of
-from impact_observer.observer.samples import SensorSample
+from impact_observer.observer.samples import SensorSample, sensors_of
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 

@@ -180,11 +180,9 @@ def contradictions_of(observer: "Observer") -> Iterator[str]:
     from impact_observer.observer.contradiction import contradictions
 
     learned = observer.estimate(observer.newest).parameters
-    declared = observer.law.uncertainty.declared_constants
-    for each in contradictions(learned, declared):
-        found = figure(each.value, deviation=each.deviation)
-        given = figure(each.declared.value, deviation=each.declared.deviation)
+    for name, declared, found in contradictions(learned, observer.law.uncertainty):
+        here, given = (figure(value, deviation=by) for value, by in (found, declared))
         yield (
-            f"learned {each.declared.name} {found} contradicts the declared {given}: widen its"
+            f"learned {name} {here} contradicts the declared {given}: widen its"
             " deviation, or give --model-error (docs/troubles.md)"
         )

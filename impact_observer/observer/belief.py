@@ -3,9 +3,8 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,37 +12,15 @@ from numpy.typing import NDArray
 from impact_observer.bank.bank import Bank
 from impact_observer.bank.notes import Note
 from impact_observer.events import Contacts
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.states import Matrix, Vector
 
-_NOTHING: Mapping[int, float] = MappingProxyType({})
+NOTHING: Mapping[int, float] = MappingProxyType({})
 Parameters: TypeAlias = tuple[tuple[str, float, float], ...]
 """Parameters estimated beside the state: name, value, standard deviation, SI units."""
 
 
-class Learned:
-    """Parameters estimated beside the state, computed at the first request."""
-
-    def __init__(self, make: Callable[[], Parameters] = tuple) -> None:
-        """``make`` computes the parameters."""
-        self._make = make
-
-    @cached_property
-    def parameters(self) -> Parameters:
-        """Name, value, standard deviation of each."""
-        return self._make()
-
-
-_NO_PARAMETERS = Learned()
-
-
 class Onset(NamedTuple):
-    """A state before an impact.
-
-    Attributes:
-        x: (q, u) at the stamp, shape (2n,).
-        hit: the contacts that hit.
-    """
+    """The state before an impact, (q, u) at the stamp, shape (2n,), and the contacts that hit."""
 
     x: Vector
     hit: Contacts
@@ -53,33 +30,34 @@ class Belief(NamedTuple):
     """Estimate and uncertainty of a law at one instant: a prior or a posterior.
 
     Attributes:
-        ensemble: the estimate, and replicas with other initial states.
-        root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, 2n); None for
-            a law without covariance.
+        x: the estimate (q, u), shape (2n,).
+        others: by how much replicas with other initial states differ from it, one a column, shape
+            (2n, N - 1).
+        root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, any); None for
+            a law without covariance, or where ``Prediction.root`` has it.
         bound: certified upper bound of V, J; None where nothing is certified.
-        inconsistent: whether events have contradicted the declared model or uncertainty: the
-            bound fell below zero.
+        inconsistent: whether the bound fell below zero: events contradict what is declared.
         innovations: the estimate's gaps at the last event in standard deviations, by contact.
         clock_offset: estimated delay of the sensor's stamps, s.
-        learned: estimated parameters, computed at the first request.
+        learned: makes the parameters that are estimated beside the state.
         misfit: the warning that the model does not explain the impacts; empty without misfit.
-        onset: the state before an impact that has an uncertain instant; the other states are those
-            after the jump.
+        onset: the state before an impact with an uncertain instant.
+        unmeasured: how long ago each coordinate was measured, shape (n,), s, infinite before the
+            first time; None for a law that does not use it.
         bank: the hypotheses of a law that has them as arrays.
         flown: how many seconds later than the stamp of its ``bank`` the belief holds.
         noted: decisions on the latest events, of a law with a ``bank``.
         clock_deviation: of a stamp, s, of a law with a ``bank``.
-        unmeasured: how long ago each coordinate was measured, shape (n,), s, infinite before the
-            first time; None for a law that does not use it.
     """
 
-    ensemble: Ensemble
+    x: Vector
+    others: Matrix
     root: Matrix | None = None
     bound: float | None = None
     inconsistent: bool = False
-    innovations: Mapping[int, float] = _NOTHING
+    innovations: Mapping[int, float] = NOTHING
     clock_offset: float = 0.0
-    learned: Learned = _NO_PARAMETERS
+    learned: Callable[[], Parameters] = tuple
     misfit: str = ""
     onset: Onset | None = None
     unmeasured: Vector | None = None
@@ -88,24 +66,25 @@ class Belief(NamedTuple):
     noted: tuple[Note, ...] = ()
     clock_deviation: float = 0.0
 
-    @property
-    def x(self) -> Vector:
-        """The estimate (q, u), shape (2n,)."""
-        return self.ensemble.x
+    @classmethod
+    def of(cls, replicas: Matrix, **others: Any) -> "Belief":  # noqa: ANN401 (as the fields are)
+        """``replicas`` (q, u), shape (N, 2n), the estimate first, and other fields by name."""
+        x = replicas[0]
+        return cls(x, np.subtract(replicas[1:].T, x[:, None], order="C"), **others)
 
-    @property
-    def parameters(self) -> Parameters:
-        """The parameters that are estimated beside the state."""
-        return self.learned.parameters
+    def moved(self, replicas: Matrix) -> "Belief":
+        """The same with other ``replicas``, as of ``of``."""
+        now = Belief.of(replicas)
+        return self._replace(x=now.x, others=now.others)
 
     @property
     def replicas(self) -> Matrix:
         """States (q, u), shape (N, 2n), the estimate first."""
-        return self.ensemble.replicas
+        return np.concatenate([self.x[None], self.others.T + self.x])
 
 
 class Prediction(ABC):
-    """A belief as a function of time until the next event.
+    """A belief as a function of time, ``s`` seconds after it, until the next event.
 
     Attributes:
         is_plain: whether only the state changes: ``root`` and ``closed`` return None.
@@ -117,34 +96,30 @@ class Prediction(ABC):
 
     @abstractmethod
     def state(self, s: float) -> Vector:
-        """The estimate (q, u), shape (2n,), ``s`` seconds after the start."""
+        """The estimate (q, u), shape (2n,)."""
 
     def states(self, s: Vector) -> Matrix:
-        """``state`` at each of ``s`` seconds, equal in every bit, shape (samples, 2n)."""
+        """``state`` at each of ``s``, equal in every bit, shape (samples, 2n)."""
         return np.array([self.state(at) for at in s.tolist()])
 
     def replicas(self, s: Vector) -> NDArray[np.float64]:
-        """States of the replicas that move by themselves, after ``s`` seconds each.
+        """States of the replicas that move by themselves, shape (N, samples, 2n).
 
-        Shape (N, samples, 2n), the estimate first, which is the only one by default.
+        The estimate is first, and by default the only one.
         """
         return self.states(s)[None]
 
     @abstractmethod
     def belief(self, s: float) -> Belief:
-        """The whole belief ``s`` seconds after the start: the prior of an event then."""
+        """The whole belief: the prior of an event then."""
 
     def root(self, s: float) -> Matrix | None:
-        """``Belief.root`` after ``s`` seconds, without propagating the other replicas."""
+        """``Belief.root``, without propagating the other replicas; None without covariance."""
         del s
         return None
 
     def of_grounds(self, ns: int, s: float) -> tuple[Vector, Matrix] | None:
-        """What uncertain grounds add to the state (q, u) in the frame of the stops.
-
-        Args:
-            ns: nanoseconds since the epoch.
-            s: seconds after the start.
+        """What uncertain grounds add to the state in the frame, ``ns`` ns after the epoch.
 
         Returns:
             The sum, shape (2n,), and its error, which is added to the first columns of ``root``,
@@ -154,11 +129,11 @@ class Prediction(ABC):
         return None
 
     def silence(self, s: float) -> str:
-        """The warning that predicted impacts have not come for ``s`` seconds; empty if none is."""
+        """The warning that predicted impacts have not come; empty without."""
         del s
         return ""
 
     def closed(self, s: float) -> Contacts | None:
-        """Contacts that the estimate holds closed after ``s`` seconds; None for those reported."""
+        """Contacts that the estimate holds closed; None for those reported."""
         del s
         return None

@@ -46,10 +46,6 @@ class ContactChange(NamedTuple):
         A contact that was closed and hits without ``CLOSE`` is open afterwards: an ``OPEN`` was
         missed.
         """
-        if not before and len(switches) == 1:
-            ((contact, kind),) = switches
-            if kind is Kind.IMPACT:  # as nearly always
-                return cls(t, before, (contact,), before, stamp, sequence, flown)
         hit = {contact for contact, kind in switches if kind is not Kind.OPEN}
         stay = {contact for contact, kind in switches if kind is Kind.CLOSE}
         opened = {contact for contact, kind in switches if kind is Kind.OPEN}
@@ -65,15 +61,12 @@ class ContactChange(NamedTuple):
     @property
     def opened(self) -> Contacts:
         """Contacts that open."""
-        return tuple(i for i in self.before if i not in self.closed) if self.before else ()
+        return tuple(i for i in self.before if i not in self.closed)
 
     @property
     def contacts(self) -> Contacts:
         """All contacts of the event: those that hit, and those that open."""
-        if not self.before:
-            return self.hit
-        opened = self.opened
-        return tuple(sorted({*self.hit, *opened})) if opened else self.hit
+        return tuple(sorted({*self.hit, *self.opened}))
 
     @property
     def switches(self) -> list[tuple[int, Kind]]:
@@ -84,7 +77,7 @@ class ContactChange(NamedTuple):
     @property
     def active(self) -> Contacts:
         """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
-        return tuple(sorted({*self.before, *self.hit})) if self.before else self.hit
+        return tuple(sorted({*self.before, *self.hit}))
 
     def pressed(self, newton: ImpactLaw, gamma: Vector) -> Contacts:
         """The contacts that take an impulse; those that stay closed have no speed afterwards.
@@ -95,5 +88,4 @@ class ContactChange(NamedTuple):
             ImpactLawError: the law has no solution on these contacts.
         """
         taking = newton.pressed(self.active, self.hit, gamma)
-        stay = set(self.before) & set(self.closed)
-        return tuple(sorted({*taking, *stay})) if stay else taking
+        return tuple(sorted({*taking, *({*self.before} & {*self.closed})}))

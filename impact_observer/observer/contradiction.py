@@ -1,62 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learned values that contradict the declared ones."""
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from impact_observer.observer.uncertainty import Uncertainty
+
 _MOST = 4.0
-"""Deviations from the declared value beyond which a learned value contradicts it."""
+"""Declared deviations beyond which a learned value contradicts the declared one."""
 _OUTSIDE = 2.0
 """Deviations of a learned value by which it is outside the bounds of its parameter."""
 
 
-class Declared(NamedTuple):
-    """What is declared of a constant that is learned, SI units.
+class Contradiction(NamedTuple):
+    """A learned value that contradicts the declared one, SI units.
 
     Attributes:
         name: such as ``restitution.stop``, or ``clock_offset``.
-        value: the declared value.
-        deviation: its standard deviation.
-        low: least value allowed.
-        high: largest value allowed.
+        declared: the declared value, and its standard deviation.
+        learned: the learned value, and its standard deviation.
     """
 
     name: str
-    value: float
-    deviation: float
-    low: float
-    high: float
-
-
-class Contradiction(NamedTuple):
-    """A learned value that contradicts the declared one.
-
-    Attributes:
-        declared: what is declared.
-        value: the learned value.
-        deviation: its standard deviation.
-    """
-
-    declared: Declared
-    value: float
-    deviation: float
-
-    @property
-    def far(self) -> float:
-        """Distance of the learned value from the declared one, in declared deviations."""
-        return abs(self.value - self.declared.value) / self.declared.deviation
-
-    @property
-    def is_outside(self) -> bool:
-        """Whether the learned value is outside the bounds of its parameter."""
-        margin = _OUTSIDE * self.deviation
-        return not self.declared.low - margin <= self.value <= self.declared.high + margin
+    declared: tuple[float, float]
+    learned: tuple[float, float]
 
 
 def contradictions(
-    learned: Iterable[tuple[str, float, float]], declared: Iterable[Declared]
-) -> tuple[Contradiction, ...]:
+    learned: Iterable[tuple[str, float, float]], uncertainty: Uncertainty
+) -> list[Contradiction]:
     """The ``learned`` values (name, value, standard deviation) that contradict the declared."""
-    known = {each.name: each for each in declared if each.deviation > 0}
-    found = (Contradiction(known[n], *rest) for n, *rest in learned if n in known)
-    return tuple(each for each in found if each.far > _MOST or each.is_outside)
+    declared, unknowns = dict[str, tuple[float, float, float, float]](), uncertainty.unknowns
+    if unknowns is not None:
+        family = unknowns.family
+        columns = (family.nominal, unknowns.deviations, *family.bounds)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        declared |= zip(family.names, rows, strict=True)
+    offset = uncertainty.clock_offset_error
+    declared["clock_offset"] = (0.0, offset, -math.inf, math.inf)
+    found = []
+    for name, value, deviation in learned:
+        nominal, error, low, high = declared.get(name, (0.0, 0.0, 0.0, 0.0))
+        if not error:
+            continue
+        margin = _OUTSIDE * deviation
+        is_inside = low - margin <= value <= high + margin
+        if abs(value - nominal) > _MOST * error or not is_inside:
+            found.append(Contradiction(name, (nominal, error), (value, deviation)))
+    return found

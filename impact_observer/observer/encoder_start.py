@@ -29,31 +29,29 @@ class EncoderStart:
         Raises:
             UsageError: a joint has no encoder.
         """
-        by_joint = {
+        found = {
             each.encoded[0]: i
             for i, each in enumerate(sensors)
             if each.encoded and each.encoded[1] == 1.0
         }
         for joint in robot.coordinates:
-            if joint not in by_joint:
+            if joint not in found:
                 raise UsageError(
                     f"initial state: no encoder of the joint {joint!r} found; expected one in"
                     " measurements, or an initial state"
                 )
         self._robot = robot
-        self._encoders = [by_joint[joint] for joint in robot.coordinates]
+        self._encoders = [found[joint] for joint in robot.coordinates]
         self._sensors = [sensors[i] for i in self._encoders]
         self._first: dict[int, EventKey] = {}
 
     def note(self, samples: Iterable[EventKey]) -> bool:
         """Take note of received ``samples``; returns whether the first ones have changed."""
-        changed = False
+        before = dict(self._first)
         for key in samples:
-            known = self._first.get(key.sensor)
-            is_first = known is None or key.stamp < known.stamp
-            if is_first and key.sensor in self._encoders:
-                self._first[key.sensor], changed = key, True
-        return changed
+            if key.sensor in self._encoders:
+                self._first[key.sensor] = min(key, self._first.get(key.sensor, key))
+        return self._first != before
 
     def forget(self) -> None:
         """Forget all samples."""

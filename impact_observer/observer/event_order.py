@@ -12,7 +12,7 @@ from impact_observer.observer.contact_change import ContactChange
 BEFORE_ALL = -1
 """Sequence of a state that holds before all events of its stamp."""
 AFTER_EVENTS = 1 << 64
-"""Sequence of the sample of the first sensor, so that samples come after events of their stamp."""
+"""Sequence of the sample of the first sensor: samples come after the events of their stamp."""
 AFTER_ALL = 1 << 65
 """Sequence of a state that holds after all events and samples of its stamp."""
 
@@ -39,7 +39,7 @@ class EventKey(NamedTuple):
 
     @classmethod
     def measured(cls, stamp: int, sensor: int, value: float) -> "EventKey":
-        """A sample of a sensor, by its index, which comes after the events of its stamp."""
+        """A sample of a sensor, by its index."""
         return cls(stamp, AFTER_EVENTS + sensor, (), (value,))
 
     @property
@@ -59,30 +59,29 @@ def acting(
     a CLOSE is an impact.
     """
     closing = {i for event in events for i, kind in event.switches if kind is Kind.CLOSE}
-    is_alone = len(events) == 1
     for event in events:
         act = list[tuple[int, Kind]]()
         for i, kind in event.switches:
-            if kind is Kind.IMPACT and i in closing and not is_alone:
+            if kind is Kind.IMPACT and i in closing:
                 continue
             is_late = 0 < event.sequence < numbers.get(i, 0)
             if not is_late:
                 act.append((i, kind))
+                if kind is not Kind.IMPACT:
+                    numbers = {**numbers, i: event.sequence}
             elif kind is Kind.CLOSE:
                 act.append((i, Kind.IMPACT))
-            if kind is not Kind.IMPACT and not is_late:
-                numbers = {**numbers, i: event.sequence}
         yield event, tuple(act), numbers
 
 
 def keys_of(events: Iterable[ImpactEvent], index: Mapping[str, int]) -> list[EventKey]:
     """The ``events`` in order, each once; without contacts that have no ``index``, by name."""
-    known = (
-        (e, {(index[s.contact], s.kind) for s in e.switches if s.contact in index}) for e in events
-    )
-    return sorted(
-        {EventKey(e.stamp, e.sequence, tuple(sorted(kinds))) for e, kinds in known if kinds}
-    )
+    found = set[EventKey]()
+    for event in events:
+        known = {(index[s.contact], s.kind) for s in event.switches if s.contact in index}
+        if known:
+            found.add(EventKey(event.stamp, event.sequence, tuple(sorted(known))))
+    return sorted(found)
 
 
 def switched(events: Iterable[EventKey]) -> Iterator[tuple[EventKey, Contacts, Switches]]:
@@ -105,16 +104,12 @@ def impacts_of(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]
     An impact of a contact that is closed, and stays so, is no closing. ``events`` are of one
     sender, in any order; each episode counts by itself.
     """
-
-    def run(event: ImpactEvent) -> tuple[int, int]:
-        return event.epoch, event.episode
-
-    for _, members in groupby(sorted(events, key=run), key=run):
-        of_run = list(members)
+    by_run = attrgetter("epoch", "episode")
+    for _, members in groupby(sorted(events, key=by_run), key=by_run):
+        of_run = [*members]
         names = sorted({switch.contact for event in of_run for switch in event.switches})
-        for key, closed, switches in switched(
-            keys_of(of_run, {n: i for i, n in enumerate(names)})
-        ):
+        keys = keys_of(of_run, {name: i for i, name in enumerate(names)})
+        for key, closed, switches in switched(keys):
             for contact, kind in switches:
                 if kind is not Kind.OPEN:
                     yield key.stamp, names[contact], Kind.IMPACT if contact in closed else kind

@@ -15,19 +15,17 @@ from impact_observer.states import Stamps
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventOutcomes:
-    """The events that an observer used, by its final verdicts.
+    """The events that an observer used, by its final verdicts; stamps are in ns, ascending.
 
     Attributes:
-        instants: stamps of events applied or inserted, openings included, ns, ascending,
-            shape (events,).
+        instants: stamps of events applied or inserted, openings included, shape (events,).
         reported: those of ``instants`` at which an event was reported, shape (reported,). An
             estimate may be published before the event arrives; an inserted impact has no event.
-        impacts: stamp (ns) and contact of each impact applied or inserted, ascending.
+        impacts: stamp and contact of each impact applied or inserted.
         rulings: how many switches were finally applied, rejected and inserted, without
             insertions that were withdrawn; None without verdicts. All events then count as
             applied.
-        hits: stamps of all impacts that were reported or that the observer inserted, ns,
-            ascending.
+        hits: stamps of all impacts that were reported or that the observer inserted.
         measured: how many samples of sensors were used, and how many were not, by the verdicts on
             samples; None without such verdicts.
     """
@@ -74,7 +72,6 @@ def count_rulings(
     A rejection at a stamp at which no event was ``reported`` (ns) withdraws an insertion, and is
     not counted.
     """
-    rejected = Ruling.REJECTED
     return Counter(
-        r for (stamp, _, _), r in last.items() if r is not rejected or stamp in reported
+        r for (stamp, *_), r in last.items() if r is not Ruling.REJECTED or stamp in reported
     )

@@ -6,7 +6,6 @@ of the two velocities is an error with the probability that the plant is on the 
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -14,7 +13,7 @@ from scipy import special
 from impact_observer.dynamics import Mechanism
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.belief import Onset
+from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.law import Law
 from impact_observer.states import Matrix, Vector
 
@@ -26,22 +25,6 @@ _TINY = 1e-150
 """Standard deviation instead of zero."""
 
 
-class Near(NamedTuple):
-    """The event before an estimate.
-
-    Attributes:
-        clock: standard deviation of its stamp, s.
-        onset: the state before the impact; None if no impact was accepted.
-        after: the state after the event, (q, u), shape (2n,).
-        t: when the estimate holds, s since the epoch.
-    """
-
-    clock: float
-    onset: Onset | None
-    after: Vector
-    t: float
-
-
 class ImpactSides:
     """The errors of states that may be on the other side of an impact."""
 
@@ -50,15 +33,15 @@ class ImpactSides:
         self._mechanism, self._missed = mechanism, law.uncertainty.missed
 
     def errors(
-        self, near: Near, x: Vector, root: Matrix, s: float, closed: Contacts
+        self, event: Belief, t: float, x: Vector, root: Matrix, s: float, *, closed: Contacts
     ) -> list[Vector]:
-        """Errors of ``x``, shape (2n,) each, ``s`` seconds after the event of ``near``.
+        """Errors of ``x``, shape (2n,) each, at ``t``, ``s`` seconds after the belief of an event.
 
         ``root`` is one of the covariance of ``x`` on its side; contacts are ``closed``.
         """
         system, n = self._mechanism.near(x, np.zeros(0)), self._mechanism.system.n
         found = list[Vector]()
-        clock = near.clock if near.clock > EXACT else 0.0
+        clock = event.clock_deviation if event.clock_deviation > EXACT else 0.0
         gaps, speeds = system.gap(x[:n]).tolist(), system.contact_speed(x[n:]).tolist()
         for i, (gap, speed) in enumerate(zip(gaps, speeds, strict=True)):
             if speed >= 0 or i in closed:
@@ -67,10 +50,10 @@ class ImpactSides:
             if gap < REACH * (deviation - speed * clock):
                 share = self._hit_before(-gap / speed, -deviation / speed, clock)
                 lost = speed + float(system.rebounds[i].rebound(np.array(speed)))
-                ago = max(gap / speed, 0.0)
                 kick = -lost * self._mechanism.stops(x, (i,))[:, 0]
-                found.append(self._error((near.t, x), share, kick, ago, closed))
-        onset = near.onset
+                error = side_error(share, kick)
+                found.append(self._flown(t, x, error, max(gap / speed, 0.0), closed))
+        onset = event.onset
         if onset is None or not clock or s > REACH * clock:
             return found
         i, hit = onset.hit[0], list(onset.hit)
@@ -80,20 +63,17 @@ class ImpactSides:
         elif speeds[i] > 0:
             away = gaps[i] / max(_gap_deviation(system, i, root), _TINY)
             ago = min(gaps[i] / speeds[i], 0.0)
-        jump = system.W[:, hit].T.dot(onset.x[n:] - near.after[n:])
-        kick, share = self._mechanism.stops(x, onset.hit).dot(jump), float(special.ndtr(-away))
+        jump = system.W[:, hit].T.dot(onset.x[n:] - event.x[n:])
+        kick = self._mechanism.stops(x, onset.hit).dot(jump)
+        error = side_error(float(special.ndtr(-away)), kick)
         free = tuple(j for j in closed if j not in hit)
-        return [*found, self._error((near.t, x), share, kick, ago, free)]
+        return [*found, self._flown(t, x, error, ago, free)]
 
-    def _error(
-        self, at: tuple[float, Vector], share: float, kick: Vector, ago: float, closed: Contacts
-    ) -> Vector:
-        """``side_error`` of a kick ``ago`` seconds ago, or as much later, ``at`` an estimate."""
-        error = side_error(share, kick)
-        if not ago:
+    def _flown(self, t: float, x: Vector, error: Vector, s: float, closed: Contacts) -> Vector:
+        """An ``error`` of ``x``, at ``t``, after ``s`` seconds of either sign."""
+        if not s:
             return error
-        t, x = at
-        flown = self._mechanism.flown([t], x[None], np.array([ago]), closed)
+        flown = self._mechanism.flown([t], x[None], np.array([s]), closed)
         return np.asarray(flown.Phi[0].dot(error))
 
     def _hit_before(self, later: float, deviation: float, clock: float) -> float:

@@ -44,9 +44,14 @@ def make_observer(
     Of a model with elements their parameters can be estimated one by one, and parameters with
     deviations are considered. Where its file declares no number exact, published deviations
     contain small errors of all numbers; a ``System`` is exact. Of a model that was fitted they
-    contain what the fit left. ``options`` are None for the defaults. Another ``law`` than that of
-    the options may be given. The ``measurements`` are made beside the impacts. The ``unknowns``
-    take the place of those that options and model name.
+    contain what the fit left.
+
+    Args:
+        model: the model, its system, or the path of its file.
+        options: None for the defaults.
+        law: takes the place of that of the ``options``.
+        measurements: what is measured beside the impacts.
+        unknowns: take the place of those that options and model name.
 
     Raises:
         UsageError: there is no model, or an option cannot be used; the line names the option.
@@ -57,26 +62,30 @@ def make_observer(
         raise UsageError(f"make_observer: {options!r} found; expected Options(), by default None")
     is_exact = isinstance(model, System)
     model = model_of(model, "make_observer")
-    undeclared = 0.0 if is_exact or model.has_exact_numbers else _UNDECLARED_ERROR
     law = law or law_named(options.law)
     system: System | Robot
     if model.robot is not None:
         _check_robot_options(model.robot, law, options, measurements)
-        robot, live = connected_robot(observed(model))
-        system, known = robot, Uncertainty(unknowns=_considered_parameters(robot, model))
-        known = known if law.has_covariance else Uncertainty()
+        system, live = connected_robot(observed(model))
+        unknowns = _considered_parameters(system, model) if law.has_covariance else None
+        undeclared = 0.0
     else:
-        linear, live = connected(model.system)
-        unknowns = unknowns or _unknown_parameters(linear, options, model)
-        system, known = linear, Uncertainty(unknowns=unknowns, undeclared=undeclared)
-    known = replace(known, shift=model.shift)
+        system, live = connected(model.system)
+        unknowns = unknowns or _unknown_parameters(system, options, model)
+        undeclared = 0.0 if is_exact or model.has_exact_numbers else _UNDECLARED_ERROR
+    contacts = None
     if model.sensors.by_contact and law.has_covariance:
-        names = system.contact_names
-        known = replace(known, contacts=ContactErrors.of(model.sensors, names, options.missed))
-    encoders = encoder_start(options, system, measurements)
+        contacts = ContactErrors.of(model.sensors, system.contact_names, options.missed)
+    encoders = None
+    if system.has_encoders and options.initial_state == Options.initial_state:
+        encoders = EncoderStart(cast(Robot, system), measurements)
+    declared = declared_by(options, system, encoders)
+    declared = replace(
+        declared, unknowns=unknowns, undeclared=undeclared, contacts=contacts, shift=model.shift
+    )
     return Observer(
         system,
-        law(cast(System, system), declared_by(options, system, known, encoders)),
+        law(cast(System, system), declared),
         *initial_state(options.initial_state, system),
         epoch=options.epoch,
         history=options.history,
@@ -85,31 +94,6 @@ def make_observer(
         measurements=measurements,
         encoders=encoders,
     )
-
-
-def encoder_start(
-    options: Options, system: System | Robot, measurements: Sequence[Measurement]
-) -> EncoderStart | None:
-    """Where a robot starts whose ``options`` name no initial state; None of other systems.
-
-    Raises:
-        UsageError: a joint of the robot has no encoder among the ``measurements``.
-    """
-    if not system.has_encoders or options.initial_state != Options.initial_state:
-        return None
-    return EncoderStart(cast(Robot, system), measurements)
-
-
-def _model_error(options: Options, system: System | Robot) -> float | None:
-    """White accelerations, m/s^1.5; None if they are learned: a robot has white torques."""
-    if not system.has_encoders:
-        return None if options.model_error < 0 else options.model_error
-    if options.model_error > 0:
-        raise UsageError(
-            f"model_error: {options.model_error:g} found; expected torque_deviation in the model"
-            f" of the robot {system.name} instead"
-        )
-    return 0.0
 
 
 def _check_robot_options(
@@ -125,6 +109,11 @@ def _check_robot_options(
         raise UsageError(
             f"estimate_parameters: {options.estimate_parameters[0]} found; expected none, as"
             f" parameters of the robot {name} are considered by their deviations in the model"
+        )
+    if options.model_error > 0:
+        raise UsageError(
+            f"model_error: {options.model_error:g} found; expected torque_deviation in the model"
+            f" of the robot {name} instead"
         )
     if not any(each.position or each.gap for each in measurements):
         raise UsageError(
@@ -154,28 +143,26 @@ def _considered_parameters(robot: Robot, model: Model) -> UnknownParameters | No
 
 
 def declared_by(
-    options: Options,
-    system: System | Robot,
-    before: Uncertainty,
-    encoders: EncoderStart | None = None,
+    options: Options, system: System | Robot, encoders: EncoderStart | None = None
 ) -> Uncertainty:
-    """The uncertainty that ``options`` declare; parameters and model errors are as ``before``.
+    """The uncertainty that ``options`` declare.
 
-    That of the initial state is that of the ``encoders``, where a robot starts at them.
+    That of the initial state is that of the ``encoders``, where a robot starts at them. A robot
+    has white torques instead of white accelerations.
 
     Raises:
-        UsageError: the deviations or the model error do not suit the ``system``.
+        UsageError: the deviations do not suit the ``system``.
     """
     if encoders is None:
         deviation = deviation_of(options.initial_deviation, system)
     else:
         deviation = encoders.deviation(options)
-    return replace(
-        before,
+    error = None if options.model_error < 0 else options.model_error
+    return Uncertainty(
         deviation=deviation,
         clock_error=None if options.clock_error < 0 else options.clock_error,
         clock_offset_error=options.clock_offset_error,
-        model_error=_model_error(options, system),
+        model_error=0.0 if system.has_encoders else error,
         missed=options.missed,
         spurious=options.spurious,
         mislabelled=options.mislabelled,
@@ -186,6 +173,7 @@ def declared_by(
 def _unknown_parameters(
     system: System, options: Options, model: Model
 ) -> UnknownParameters | None:
+    """The parameters that ``options`` name, or that the ``model`` declares to be uncertain."""
     wanted = options.estimate_parameters
     unknowns = UnknownParameters.named(system, wanted, model.elements, model.uncertainty)
     if law_named(options.law).learns:

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
+from bisect import bisect_right
 from collections import Counter, deque
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from itertools import groupby, pairwise
-from typing import NamedTuple, cast
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, groupby, pairwise
+from operator import attrgetter
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +17,6 @@ from impact_observer.dynamics import mechanism_of
 from impact_observer.errors import UsageError
 from impact_observer.events import (
     REVISED,
-    Contacts,
     ImpactEstimate,
     ImpactEvent,
     Kind,
@@ -29,17 +30,21 @@ from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_file import ModelSource, model_of
 from impact_observer.model.multibody import is_multibody
-from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.belief import Prediction
 from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import EventKey, Switches
-from impact_observer.observer.impact_sides import ImpactSides, Near
+from impact_observer.observer.impact_sides import ImpactSides
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.readings import SampleOutcome, sensors_of
-from impact_observer.observer.samples import SampleStream, SensorSample
+from impact_observer.observer.samples import (
+    SampleOutcome,
+    SampleStream,
+    SensorSample,
+    sensors_of,
+)
 from impact_observer.observer.sender_runs import SenderRun, SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
-from impact_observer.observer.timeline import Entry, Timeline, outcome
+from impact_observer.observer.timeline import Entry, Timeline
 from impact_observer.observer.uncertainty import covariance_root, spread
 from impact_observer.observer.verdicts import IssuedVerdicts, Subject, with_outcome, with_reasons
 from impact_observer.options import Options
@@ -74,18 +79,8 @@ BEFORE_EPOCH = NS_PER_S
 """How long before its own epoch an event may be stamped, ns: above jitter."""
 
 
-class _Admitted(NamedTuple):
-    """An event that is to be put into the timeline.
-
-    Attributes:
-        event: the event.
-        key: its place.
-        verdicts: on its switches, as they were received.
-    """
-
-    event: ImpactEvent
-    key: EventKey
-    verdicts: tuple[Verdict, ...]
+Judged: TypeAlias = tuple[ImpactEvent, tuple[Verdict, ...]]
+"""An event and the verdicts on it."""
 
 
 class Observer:
@@ -158,18 +153,17 @@ class Observer:
         q, u = system.checked_state(position, velocity)
         if live is None:
             refused(cast(System, system), "an observer without signals")
-        self.live = live
+        self.live, self.encoders = live, encoders
         self.robot = cast(Robot, system) if system.has_encoders else None
-        self.encoders = encoders
-        self.samples = SampleStream(sensors_of(measurements, system))
+        self.samples = SampleStream(sensors_of(measurements, cast(System, system)))
         self.system: System = system  # type: ignore[assignment]
         self.law = law
         self._initial = np.concatenate([q, u])
         self._root = law.uncertainty.root(system.n)
         self.ensemble = ensemble
         self._starts: Matrix | None = None
-        self._test = SynchronizationTest(system)
         self._mechanism = mechanism_of(self.system)
+        self._test = SynchronizationTest(self.system, self._mechanism)
         self._sides = ImpactSides(law, self._mechanism)
         self._history = from_seconds(history)
         self._names = system.contact_names
@@ -193,15 +187,12 @@ class Observer:
         self._assumed_epoch = 0
         self.samples.clear()
         self._revised: list[Verdict] = []
-        self._is_inserting = False
-        self._carried: Sequence[EventKey] = ()
-        self.timeline: Timeline | None = None
         self._begin_run(self.given_epoch)
         if self.given_epoch and self.encoders is None:
             self._begin(self.given_epoch)
 
-    def _begin_run(self, epoch: int, keys: Sequence[EventKey] = ()) -> None:
-        """Forget all but samples among ``keys``; the ``epoch`` (ns) is 0 while unknown."""
+    def _begin_run(self, epoch: int, samples: Sequence[EventKey] = ()) -> None:
+        """Forget all but some ``samples``; the ``epoch`` (ns) is 0 while unknown."""
         self.epoch = epoch
         if self.live is not None and epoch:
             self.live.follow(epoch)
@@ -209,7 +200,13 @@ class Observer:
         self._issued = IssuedVerdicts(self._names)
         self._numbers = SequenceNumbers()
         self._earliest = 0
-        self._carry_over([each for each in keys if each.sample])
+        self.timeline: Timeline | None = None
+        self._carried = samples
+        if self.encoders is not None:
+            self.encoders.forget()
+            self.encoders.note(samples)
+        if samples and self._is_startable:
+            self._timeline_with(samples[0].stamp)
 
     def take_pulse(self, stamp: int) -> None:
         """The phase of the drive is zero at ``stamp`` (ns).
@@ -231,54 +228,54 @@ class Observer:
             DynamicsError: the loads of closed contacts cannot be found; the event is not applied.
             UsageError: the forcing depends on time and its epoch is unknown.
         """
-        received = self._admit(event)
-        if not isinstance(received, _Admitted):
-            return (*received, *self._taken_revised())
-        entries = outcome(self._inserting([received.key]))
-        for entry in entries:
-            if entry.key == received.key and entry.error is not None:
-                raise entry.error
-        ((_, verdicts),) = self._verdicts([received], entries)
-        return (*verdicts, *self._taken_revised())
+        ((_, verdicts),) = self._receive([event], raises=True)
+        return verdicts
 
-    def receiving(
-        self, events: Iterable[ImpactEvent]
-    ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
+    def receiving(self, events: Iterable[ImpactEvent]) -> Iterator[list[Judged]]:
         """``receive`` several events; late events together, so that later events run again once.
 
-        An error that ``receive`` would raise becomes the reason of a rejection. An estimate
-        contains the late events once their verdicts are yielded; until then no other call may
-        change the observer. A caller that closes the generator may give the events again that had
-        no verdict.
+        An error that ``receive`` would raise becomes the reason of a rejection.
 
         Yields:
-            Each event with its verdicts; None after each step of work in between.
+            Events that were applied together, each with its verdicts.
         """
-        for _, members in groupby(events, key=lambda each: (each.epoch, each.episode)):
-            newest = 0 if self.timeline is None else self.timeline.newest
-            late, others = list[ImpactEvent](), list[ImpactEvent]()
-            for each in sorted(members, key=lambda each: (each.stamp, each.sequence)):
-                (late if each.stamp <= newest else others).append(each)
-            for together in (late, *([each] for each in others)):
-                accepted: dict[EventKey, _Admitted] = {}
-                for each in together:
-                    try:
-                        received = self._admit(each, accepted)
-                    except UsageError as error:
-                        received = (_verdict(each, Ruling.REJECTED, str(error)),)
-                    if isinstance(received, _Admitted):
-                        accepted[received.key] = received
-                    else:
-                        yield each, (*received, *self._taken_revised())
-                if accepted:
-                    entries = yield from self._inserting(accepted)
-                    for each, verdicts in self._verdicts([*accepted.values()], entries):
-                        yield each, (*verdicts, *self._taken_revised())
+        for _, members in groupby(events, key=attrgetter("epoch", "episode")):
+            ordered = sorted(members, key=attrgetter("stamp", "sequence"))
+            late = bisect_right(ordered, self.newest, key=attrgetter("stamp"))
+            if late:
+                yield self._receive(ordered[:late])
+            for each in ordered[late:]:
+                yield self._receive([each])
+
+    def _receive(self, events: Iterable[ImpactEvent], *, raises: bool = False) -> list[Judged]:
+        """Apply ``events`` together; their errors are raised, or become rejections."""
+        accepted: dict[EventKey, Judged] = {}
+        judged = list[Judged]()
+        for each in events:
+            try:
+                key, verdicts = self._admit(each, accepted)
+            except UsageError as error:
+                if raises:
+                    raise
+                key, verdicts = None, (_verdict(each, Ruling.REJECTED, str(error)),)
+            if key is None:
+                judged.append((each, verdicts))
+            else:
+                accepted[key] = each, verdicts
+        if accepted:
+            entries = self._insert(accepted)
+            for entry in entries if raises else ():
+                if entry.key in accepted and entry.error is not None:
+                    raise entry.error
+            judged += self._verdicts(accepted, entries)
+        return [(event, (*verdicts, *self._taken_revised())) for event, verdicts in judged]
 
     def _admit(
-        self, event: ImpactEvent, accepted: Mapping[EventKey, object] | None = None
-    ) -> _Admitted | tuple[Verdict, ...]:
-        """The place of an event, beside others just ``accepted``; or verdicts that refuse it.
+        self, event: ImpactEvent, accepted: Collection[EventKey]
+    ) -> tuple[EventKey | None, tuple[Verdict, ...]]:
+        """The place of an event, None if it is refused, and verdicts on its switches.
+
+        It may be the same as others just ``accepted``.
 
         Raises:
             UsageError: the start is not known yet; the event is kept until it is.
@@ -297,17 +294,20 @@ class Observer:
             raise
         verdicts, switches = self._resolve_contacts(event)
         key = EventKey(event.stamp, event.sequence, switches)
-        if switches and (key in (accepted or ()) or (self.timeline and key in self.timeline)):
+        if switches and (key in accepted or (self.timeline is not None and key in self.timeline)):
             return self._refuse(event, Ruling.DUPLICATE, "it was seen", Remark.DUPLICATE)
         self._numbers.note(event.sequence)
         timeline = self._timeline_with(event.stamp)
         if not timeline.accepts(key):
             reason = f"before {text(timeline.earliest)} s, the start of the history"
             return self._refuse(event, Ruling.TOO_LATE, reason, Remark.TOO_LATE)
-        return _Admitted(event, key, verdicts) if switches else self._with_notice(verdicts)
+        return (key, verdicts) if switches else (None, self._with_notice(verdicts))
 
     def _followed(self, event: ImpactEvent) -> str:
-        """Follow the run of the sender to which an event belongs; why not, or nothing."""
+        """Follow the run of the sender to which an event belongs; why not, or nothing.
+
+        A robot that started at its encoders after the epoch needs no earlier one.
+        """
         before = self._run
         after = SenderRun.of(event) if before is None else before.after(event)
         if after is None:
@@ -315,48 +315,21 @@ class Observer:
             return f"{SenderRun.of(event).name} is older than {before.name}"
         self._run = after
         if before is None or before.has(event):
-            self._adopt(after)
-            return ""
+            epoch = event.epoch
+            is_late = epoch <= self.epoch and self.encoders is not None
+            if not epoch or epoch == self.epoch or is_late:
+                return ""
+            if not self.epoch or self.timeline is None:
+                self.epoch = epoch
+                return ""
         since = event.epoch or event.stamp
-        self._begin_run(event.epoch or self.given_epoch, self._keys_since(since))
-        self._note_restart(after)
-        return ""
-
-    def _adopt(self, run: SenderRun) -> None:
-        """Take the epoch of a ``run`` in use, if it is another one than was given or assumed.
-
-        A robot that started at its encoders after the epoch needs no other one.
-        """
-        epoch, before = run.epoch, self.epoch
-        is_fine = epoch <= before if self.encoders is not None else epoch == before
-        if not epoch or is_fine:
-            return
-        self.epoch = epoch
-        if before and self.timeline is not None:
-            self._carry_over(self._keys_since(epoch))
-            self._note_restart(run)
-
-    def _note_restart(self, run: SenderRun) -> None:
-        self._notice = f"{run.name} is new: the observer is reset"
+        entries = [] if self.timeline is None else self.timeline.entries
+        keys = (*self._carried, *(entry.key for entry in entries))
+        samples = [key for key in keys if key.sample and key.stamp >= since]
+        self._begin_run(event.epoch or self.given_epoch, samples)
+        self._notice = f"{after.name} is new: the observer is reset"
         self.restarts += 1
-
-    def _keys_since(self, stamp: int) -> list[EventKey]:
-        """The events and samples that are kept, from ``stamp`` (ns) on."""
-        entries = self.timeline.entries if self.timeline is not None else ()
-        known = (
-            *self._carried,
-            *(each.key for each in entries if each.is_event or each.key.sample),
-        )
-        return [each for each in known if each.stamp >= stamp]
-
-    def _carry_over(self, keys: Sequence[EventKey]) -> None:
-        """Begin anew with events and samples that are known already, once the start is."""
-        self.timeline, self._carried = None, keys
-        if self.encoders is not None:
-            self.encoders.forget()
-            self.encoders.note(each for each in keys if each.sample)
-        if keys and self._is_startable:
-            self._timeline_with(keys[0].stamp)
+        return ""
 
     def _timeline_with(self, stamp: int) -> Timeline:
         """The timeline, whose start may be moved by an event or a sample at ``stamp`` (ns)."""
@@ -377,56 +350,55 @@ class Observer:
         if replicas is None:
             initial = self._initial if self.encoders is None else self.encoders.state
             replicas = spread(initial, self._root, self.ensemble)
-        timeline = self.timeline
-        if timeline is None:
-            timeline = Timeline(self.law, self._test, self._history, self.samples.sensors)
+        if self.timeline is None:
+            self.timeline = Timeline(self.law, self._test, self._history, self.samples.sensors)
         zero, replicas = self.epoch or stamp, self._to_frame(stamp, replicas)
-        timeline.begin(replicas, self._root, stamp, zero, self._carried)
-        self.timeline, self._carried = timeline, []
-        return timeline
+        self.timeline.begin(replicas, self._root, stamp, zero, self._carried)
+        self._carried = ()
+        return self.timeline
 
-    def _inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Sequence[Entry]]:
-        """``Timeline.inserting``; meanwhile estimates are those of before."""
-        assert self.timeline is not None, "they were accepted"
-        self._is_inserting = True
-        try:
-            entries = yield from self.timeline.inserting(keys)
-        finally:
-            self._is_inserting = False
+    @property
+    def _past(self) -> Timeline:
+        """The timeline, once the start is known."""
+        assert self.timeline is not None, "the start is known"
+        return self.timeline
+
+    def _insert(self, keys: Iterable[EventKey]) -> Sequence[Entry]:
+        """``Timeline.insert``."""
+        entries = self._past.insert(keys)
         if self.live is not None:
-            self.live.forget_before(self.timeline.start)
+            self.live.forget_before(self._past.start)
         return entries
 
-    def _verdicts(
-        self, received: Sequence[_Admitted], entries: Sequence[Entry]
-    ) -> list[tuple[ImpactEvent, tuple[Verdict, ...]]]:
-        """The verdicts on events that were inserted, in order; ``entries`` are those made."""
-        new = {each.key: each for each in received}
-        first = next(i for i, entry in enumerate(entries) if entry.key in new)
-        notes, others = self._issue(entries[first:], {key[:2] for key in new})
-        found, again = list[tuple[ImpactEvent, tuple[Verdict, ...]]](), 0
-        for entry in reversed(entries[first:]):
+    def _verdicts(self, new: Mapping[EventKey, Judged], entries: Sequence[Entry]) -> list[Judged]:
+        """The verdicts on ``new`` events, in order; ``entries`` are those made."""
+        notes, others = self._issue(entries, {key[:2] for key in new})
+        found, again = list[Judged](), 0
+        for entry in reversed(entries):
             if entry.key not in new:
-                again += entry.is_event
+                again += bool(entry.key.switches)
                 continue
-            event, _, verdicts = new[entry.key]
+            event, verdicts = new[entry.key]
             self.remarks[Remark.MISFIT] += bool(entry.belief.misfit)
             self.remarks[Remark.LATE] += again > 0
             late = f"late: {again} event{'s' * (again != 1)} run again" if again else ""
-            index = self._index
-            made = [with_outcome(v, index.get(v.contact, -1), entry, notes) for v in verdicts]
+            made = [
+                with_outcome(each, self._index[each.contact], entry, notes)
+                if each.contact in self._index
+                else each
+                for each in verdicts
+            ]
             found.append((event, (with_reasons(made[0], [late]), *made[1:])))
         (event, own), *later = reversed(found)
         return [(event, (*self._with_notice(own), *others)), *later]
 
     def _issue(
-        self, entries: Sequence[Entry], owns: Iterable[tuple[int, int]] = ()
+        self, entries: Sequence[Entry], owns: Collection[tuple[int, int]] = ()
     ) -> tuple[Mapping[Subject, Note], tuple[Verdict, ...]]:
         """``IssuedVerdicts.issue`` for ``entries`` that were applied."""
-        assert self.timeline is not None, "they were"
-        start = max(entries[0].key.stamp - self._history, self.timeline.start)
-        self._issued.forget_before(self.timeline.start)
-        notes, others = self._issued.issue(entries, start, {*owns})
+        start = max(entries[0].stamp - self._history, self._past.start)
+        self._issued.forget_before(self._past.start)
+        notes, others = self._issued.issue(entries, start, owns)
         self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
         return notes, others
 
@@ -435,24 +407,24 @@ class Observer:
         if not event.switches:
             return (_verdict(event, Ruling.REJECTED, "it names no contact"),), ()
         verdicts: list[Verdict] = []
-        switches: list[tuple[int, Kind]] = []
+        switches: set[tuple[int, Kind]] = set()
         for switch in event.switches:
             verdict = Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
             index = self._index.get(switch.contact)
             if index is not None:
-                switches.append((index, switch.kind))
+                switches.add((index, switch.kind))
             else:
                 self.remarks[Remark.UNKNOWN_CONTACT] += 1
                 reason = f"the model's contacts are {', '.join(self._index) or 'none'}"
                 verdict = verdict._replace(ruling=Ruling.UNKNOWN_CONTACT, reason=reason)
             verdicts.append(verdict)
-        return tuple(verdicts), tuple(sorted({*switches}))
+        return tuple(verdicts), tuple(sorted(switches))
 
     def _refuse(
         self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark
-    ) -> tuple[Verdict, ...]:
+    ) -> tuple[None, tuple[Verdict, ...]]:
         self.remarks[remark] += 1
-        return self._with_notice((_verdict(event, ruling, reason),))
+        return None, self._with_notice((_verdict(event, ruling, reason),))
 
     def _with_notice(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
         """``verdicts``, the first of them with the reason of a restart, if there was one."""
@@ -478,11 +450,9 @@ class Observer:
         return self._taken_revised()
 
     def _follow(self) -> None:
-        """Use samples and events that wait, except while events are inserted."""
-        if self._is_inserting:
-            return
+        """Use samples and events that wait."""
         waiting = self.samples.waiting
-        if waiting and self.robot is not None:
+        if waiting and self.system.has_encoders:
             self._start_at(waiting)
         if self.live is not None and self.epoch:
             changed = self.live.follow(self.epoch)
@@ -491,16 +461,15 @@ class Observer:
         if not self._is_startable:
             return
         if waiting:
-            keys = [*waiting]
+            keys = {*waiting}
             waiting.clear()
             self._use_samples(keys)
-        if self._without_start:
-            early = [*self._without_start]
-            self._without_start.clear()
-            for item in self.receiving(early):
-                for each in () if item is None else item[1]:
-                    reason = f"{REVISED}{each.reason or 'as reported'}"
-                    self._revised.append(each._replace(reason=reason, revises=True))
+        early = [*self._without_start]
+        self._without_start.clear()
+        for _, verdicts in chain.from_iterable(self.receiving(early)):
+            for each in verdicts:
+                reason = f"{REVISED}{each.reason or 'as reported'}"
+                self._revised.append(each._replace(reason=reason, revises=True))
 
     def _start_at(self, waiting: Sequence[EventKey]) -> None:
         """Find where a robot starts, and an epoch if none is known, by samples that wait."""
@@ -517,21 +486,21 @@ class Observer:
 
     def _use_samples(self, keys: Iterable[EventKey]) -> None:
         """Put samples into their places; late samples together, so that events run again once."""
-        ordered, new = sorted({*keys}), list[EventKey]()
+        ordered, new = sorted(keys), list[EventKey]()
         timeline = self._timeline_with(ordered[0].stamp)
         for key in ordered:
             reason = ""
             if not timeline.accepts(key):
                 reason = f"too late: before {text(timeline.earliest)} s, the start of the history"
-            elif timeline.has_sample(key) or (new and new[-1][:2] == key[:2]):
+            elif key in timeline or (new and new[-1][:2] == key[:2]):
                 reason = "the sensor has another sample of the same stamp"
             if reason:
-                self.samples.judge(key, SampleOutcome(0.0, -1.0, False, reason))
+                self.samples.judge(key, SampleOutcome.unused(reason))
             else:
                 new.append(key)
         if not new:
             return
-        entries, own = outcome(self._inserting(new)), {*new}
+        entries, own = self._insert(new), {*new}
         for entry in entries:
             if entry.outcome is not None and entry.key in own:
                 self.samples.judge(entry.key, entry.outcome)
@@ -567,10 +536,10 @@ class Observer:
         if live is not None and self.timeline is None:
             live.keep_waiting(MOST_LIVE_SAMPLES)
         is_many = live is not None and live.samples.time.size > MOST_LIVE_SAMPLES
-        if not is_many and self.robot is None:
+        if not is_many and not self.system.has_encoders:
             return
         self._follow()
-        if self._is_inserting or self.timeline is None:
+        if self.timeline is None:
             return
         if self.timeline.go_on_from(now - self._history) and live is not None:
             live.forget_before(now - self._history)
@@ -586,38 +555,37 @@ class Observer:
         entry, prediction, s = self._at(stamp)
         law, belief, n = self.law, entry.belief, self.system.n
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
-        if root is None and law.has_covariance:  # the root after a sample is found on request
-            root = prediction.root(0.0)
         grounds = prediction.of_grounds(stamp - self.epoch, s)
-        if grounds is not None:
-            root = prediction.root(s)  # whose columns are those of the grounds
+        if law.has_covariance and (root is None or grounds is not None):
+            root = prediction.root(s)  # found on request after a sample; its columns are known
         held, silence = prediction.closed(s), prediction.silence(s)
-        closed, covariance = entry.closed if held is None else held, NO_COVARIANCE
+        closed = entry.closed if held is None else held
+        if grounds is None:
+            seen = self._from_frame(np.array([stamp]), x[None])[0]
+        else:
+            seen = x + grounds[0]
+        covariance = NO_COVARIANCE
         if root is not None:
-            both, sizes = self._both_sides(entry, s, x, root, closed), self._mechanism.sizes(x, s)
+            t = Elapsed(entry.since - self._past.zero) + s
+            others = self._sides.errors(belief, t, x, root, s, closed=closed)
             if grounds is not None:
-                both, root = _with_first(both, grounds[1]), _with_first(root, grounds[1])
-            covariance = law.uncertainty.published_covariance(both, x, sizes)
-        doubt = None if root is None else self._doubt(belief, x, root, s)
-        agrees = self._test.is_synchronized(entry.synchronization) if doubt is None else not doubt
-        if grounds is not None:
-            x = x + grounds[0]
-        elif self.system.frame is not None:
-            x = self._from_frame(np.array([stamp]), x[None])[0]
+                root = _with_first(root, grounds[1])
+            both = np.column_stack([root, *others]) if others else root
+            covariance = law.uncertainty.published_covariance(both, x, self._mechanism.sizes(x, s))
         return Estimate(
             stamp=stamp,
             law=law.name,
-            q=x[:n],
-            u=x[n:],
+            q=seen[:n],
+            u=seen[n:],
             covariance=covariance,
             closed=tuple([self._names[i] for i in closed]),
             convergence=entry.synchronization.convergence,
-            synchronized=law.uses_events and not silence and agrees,
+            synchronized=law.uses_events and not (silence or self._doubt(entry, x, root, s)),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
             misfit=belief.misfit or silence,
             clock_offset=belief.clock_offset,
-            parameters=belief.parameters,
+            parameters=belief.learned(),
             last_sequence=entry.last[1],
             last_event=entry.last[0],
         )
@@ -639,20 +607,13 @@ class Observer:
         entry = timeline.entry_at(stamp)
         return entry, timeline.prediction(entry), seconds_between(entry.since, stamp)
 
-    def _doubt(self, belief: Belief, x: Vector, root: Matrix, s: float) -> str | None:
-        """Why a law doubts the state ``x`` away from impacts, ``s`` seconds after a belief."""
-        least = self.law.uncertainty.least_deviations(x, self._mechanism.sizes(x, s))
-        return self.law.doubt(belief, np.hypot(lengths_of(root), least))
-
-    def _both_sides(
-        self, entry: Entry, s: float, x: Vector, root: Matrix, closed: Contacts
-    ) -> Matrix:
-        """``root``; near an uncertain impact with the errors of ``x`` on the other side."""
-        assert self.timeline is not None, "it has the entry"
-        belief, t = entry.belief, Elapsed(entry.since - self.timeline.zero) + s
-        near = Near(belief.clock_deviation, belief.onset, belief.x, t)
-        errors = self._sides.errors(near, x, root, s, closed)
-        return np.column_stack([root, *errors]) if errors else root
+    def _doubt(self, entry: Entry, x: Vector, root: Matrix | None, s: float) -> str:
+        """Why the state ``x``, ``s`` seconds after an entry, is not synchronized; or nothing."""
+        doubt = None
+        if root is not None:
+            least = self.law.uncertainty.least_deviations(x, self._mechanism.sizes(x, s))
+            doubt = self.law.doubt(entry.belief, np.hypot(lengths_of(root), least))
+        return self._test.obstacle(entry.synchronization) if doubt is None else doubt
 
     def estimates(self, stamps: Stamps, *, replicas: bool = False) -> Iterator[Estimates]:
         """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
@@ -667,9 +628,8 @@ class Observer:
         stamps = whole_stamps(stamps)
         while stamps.size:
             first = self.estimate(int(stamps[0]))
-            assert self.timeline is not None, "there is an estimate"
-            entry, end = self.timeline.interval(first.stamp)
-            prediction, count = self.timeline.prediction(entry), 1
+            entry, end = self._past.interval(first.stamp)
+            prediction, count = self._past.prediction(entry), 1
             if prediction.is_plain or replicas:
                 count = stamps.size if end is None else int(np.searchsorted(stamps, end))
             here, stamps = stamps[:count], stamps[count:]
@@ -698,14 +658,10 @@ class Observer:
 
     def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
         """States (q, u) at ``stamps`` (ns) from states in the frame, (..., samples, 2n)."""
-        if self.system.frame is None:
-            return x
         return self.system.from_frame(stamps - self.epoch, x)
 
     def _to_frame(self, stamp: int, x: Matrix) -> Matrix:
         """States in the frame of states (q, u), shape (N, 2n), at ``stamp`` (ns)."""
-        if self.system.frame is None:
-            return x
         return self.system.to_frame(np.full(len(x), stamp - self.epoch), x)
 
     def impact(self, verdict: Verdict) -> ImpactEstimate | None:
@@ -722,24 +678,23 @@ class Observer:
         if timeline is None or not {*contacts} <= {*names}:
             return None
         reported, hit = map(names.index, contacts)
-        stamp, entry = verdict.stamp, None
+        stamp = verdict.stamp
         found = timeline.around(stamp, verdict.sequence, reported)
+        switches = ((reported, Kind.IMPACT),) if found is None else found[1].key.switches
         if verdict.ruling is Ruling.REJECTED:
-            kinds = ((reported, Kind.IMPACT),) if found is None else found[1].key.switches
-            if all(i != reported or kind is Kind.OPEN for i, kind in kinds):
+            if all(i != reported or kind is Kind.OPEN for i, kind in switches):
                 return None
             return ImpactEstimate(stamp, verdict.contact, verdict.ruling, verdict.sequence)
         if verdict.ruling is Ruling.INSERTED:
-            before, hits = timeline.entry_at(stamp), {hit}
+            before, after, hits = timeline.entry_at(stamp), None, {hit}
             held = timeline.prediction(before).closed(seconds_between(before.since, stamp))
             closed = before.closed if held is None else held
         elif found is not None:
-            before, entry = found
-            closed, kinds = before.closed, entry.key.switches
-            hits = {hit if i == reported else i for i, kind in kinds if kind is not Kind.OPEN}
+            before, after, closed = found[0], found[1].belief, found[0].closed
+            hits = {hit if i == reported else i for i, kind in switches if kind is not Kind.OPEN}
         else:
             return None
-        if hit not in hits or (entry is None and hit in closed):  # a release
+        if hit not in hits or (after is None and hit in closed):  # a release
             return None
         change = ContactChange(
             Elapsed(stamp - timeline.zero),
@@ -750,7 +705,7 @@ class Observer:
             verdict.sequence,
             seconds_between(before.since, stamp),
         )
-        after, prediction = None if entry is None else entry.belief, timeline.prediction(before)
+        prediction = timeline.prediction(before)
         balance = self.law.impact_balance(change, before.belief, prediction, after)
         own, stamp = balance.rows[change.hit.index(hit)], stamp - from_seconds(balance.early)
         return ImpactEstimate(stamp, names[hit], verdict.ruling, verdict.sequence, *own.tolist())
@@ -775,9 +730,7 @@ class Observer:
             return f"{self.law.name} uses no events"
         if prediction.silence(s):
             return "predicted impacts are not reported"
-        root = prediction.root(s)
-        doubt = None if root is None else self._doubt(entry.belief, prediction.state(s), root, s)
-        return self._test.obstacle(entry.synchronization) if doubt is None else doubt
+        return self._doubt(entry, prediction.state(s), prediction.root(s), s)
 
     def last_deviations(self) -> Vector | None:
         """Deviations of (q, u) in the last flights, at most ``MOST_FLIGHTS``, shape (2n,).
@@ -857,7 +810,7 @@ class Observer:
     @property
     def last_event(self) -> int:
         """Stamp of the latest event applied, ns; 0 before the first."""
-        return 0 if self.timeline is None else self.timeline.last_event
+        return 0 if self.timeline is None else self.timeline.entries[-1].last[0]
 
     @property
     def newest(self) -> int:

@@ -4,7 +4,9 @@
 A run is what a sender publishes from one reset to the next: all events of one epoch and episode.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+from operator import itemgetter
 from typing import NamedTuple
 
 from impact_observer.events import ImpactEvent
@@ -61,27 +63,24 @@ class SequenceNumbers:
 
     Attributes:
         lowest: the lowest number; 0 before any.
-        highest: the highest number; 0 before any.
-        count: how many events with a number have come, each once.
+        missing: how many numbers between the lowest and the highest have not come.
     """
 
     def __init__(self) -> None:
         """Start with no number."""
-        self.lowest = self.highest = self.count = 0
+        self.lowest = self._highest = self._count = 0
 
     def note(self, sequence: int) -> None:
         """Count the event of a number, 0 for none."""
         if sequence:
-            self.lowest, self.highest = (
-                min(self.lowest or sequence, sequence),
-                max(self.highest, sequence),
-            )
-            self.count += 1
+            self.lowest = min(self.lowest or sequence, sequence)
+            self._highest = max(self._highest, sequence)
+            self._count += 1
 
     @property
     def missing(self) -> int:
-        """How many numbers between the lowest and the highest have not come."""
-        return max(self.highest - self.lowest + 1 - self.count, 0) if self.count else 0
+        """See the class."""
+        return max(self._highest - self.lowest + 1 - self._count, 0) if self._count else 0
 
 
 def runs_of(events: Iterable[ImpactEvent]) -> list[list[ImpactEvent]]:
@@ -90,18 +89,13 @@ def runs_of(events: Iterable[ImpactEvent]) -> list[list[ImpactEvent]]:
     Args:
         events: in order of reception, or as ``in_order`` has them.
     """
-    runs = list[list[ImpactEvent]]()
-    for event, place, is_used in _placed(events):
-        if place == len(runs):
-            runs.append([])
-        if is_used:
-            runs[place].append(event)
-    return runs
+    used = ((number, event) for event, number, is_used in _placed(events) if is_used)
+    return [[event for _, event in run] for _, run in groupby(used, key=itemgetter(0))]
 
 
 def used_of(events: Iterable[ImpactEvent]) -> list[ImpactEvent]:
     """The events that an observer uses, run after run: ``runs_of`` as one list."""
-    return [event for run in runs_of(events) for event in run]
+    return [event for event, _, is_used in _placed(events) if is_used]
 
 
 def in_order(events: Iterable[ImpactEvent]) -> list[ImpactEvent]:
@@ -110,13 +104,12 @@ def in_order(events: Iterable[ImpactEvent]) -> list[ImpactEvent]:
     return [event for event, *_ in ordered]
 
 
-def _placed(events: Iterable[ImpactEvent]) -> list[tuple[ImpactEvent, int, bool]]:
+def _placed(events: Iterable[ImpactEvent]) -> Iterator[tuple[ImpactEvent, int, bool]]:
     """Each event, the number of the run in use when it came, and whether it is of that run."""
-    run, number, found = None, -1, list[tuple[ImpactEvent, int, bool]]()
+    run, number = None, -1
     for event in events:
         after = SenderRun.of(event) if run is None else run.after(event)
         if after is not None:
             number += run is None or not run.has(event)
             run = after
-        found.append((event, number, after is not None))
-    return found
+        yield event, number, after is not None

@@ -8,21 +8,17 @@ estimate's own gap at an impact gives a lower bound of its error.
 import math
 from collections.abc import Mapping
 from functools import cached_property
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import PositionProjection
-from impact_observer.events import Contacts
+from impact_observer.dynamics import Mechanism, PositionProjection
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief
+from impact_observer.observer.belief import NOTHING, Belief
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.robots.robot import Robot
-from impact_observer.robots.tangent_robot import at_zero
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 AGREED = 1e-4
 """Largest V distance that counts as agreement, relative to the energy of the motion."""
@@ -30,11 +26,10 @@ REQUIRED_EVENTS = 3
 """Events in a row at which replicas must agree."""
 _MARGIN = 2.0
 """Assumed ratio of V between plant and estimate to the largest between replicas."""
+_MOST_PAIRED = 256
+"""Replicas of which each pair is compared; of more, each with the estimate."""
 _RESTING = 1e-6
 """Energy below which a motion counts as rest, relative to its largest so far."""
-_NONE: Mapping[int, float] = MappingProxyType({})
-_MOST_COMPARED = 256
-"""Replicas beyond which an upper bound replaces the distance of every pair."""
 
 
 class Synchronization(NamedTuple):
@@ -55,49 +50,44 @@ class Synchronization(NamedTuple):
     energy: float
     largest: float = 0.0
     agreed: tuple[int, ...] = ()
-    hits: Mapping[int, float] = _NONE
+    hits: Mapping[int, float] = NOTHING
 
 
 class SynchronizationTest:
     """Tests whether the replicas of one system are synchronized."""
 
-    def __init__(self, system: System | Robot) -> None:
-        """Take the metric of ``V`` from ``system``; of a robot, where its coordinates are zero."""
-        self._n = system.n
+    def __init__(self, system: System | Robot, mechanism: Mechanism) -> None:
+        """Take the metric of ``V`` where coordinates are zero, if it depends on them."""
+        self._n, self._names = system.n, system.contact_names
         self._has_encoders = system.has_encoders  # gaps are measured
-        self._system = at_zero(system)
+        self._system = mechanism.near(np.zeros(2 * system.n), np.zeros(0))
         self._metric = linalg.block_diag(self._system.K, self._system.M)
         seen = system.parts()[np.argmax(self._system.W != 0, axis=0)]
         _, part = np.unique(seen, return_inverse=True)
-        self._names = system.contact_names
         self._part: list[int] = part.tolist()  # of each contact
         self._none = (0,) * len({*self._part})
 
     def initial(self, belief: Belief) -> Synchronization:
         """The result before any event."""
-        return Synchronization(*self._distance_and_energy(belief.ensemble))
+        return Synchronization(*self._distance_and_energy(belief))
 
     def after_event(
         self, previous: Synchronization, change: ContactChange, x: Vector, posterior: Belief
     ) -> Synchronization:
         """The result after an event: ``x`` is the estimate before, ``posterior`` the belief."""
-        convergence, energy = self._distance_and_energy(posterior.ensemble)
+        convergence, energy = self._distance_and_energy(posterior)
         largest = max(previous.largest, energy)
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
         agreed, limit = self._none, AGREED * energy
         if 0 <= _MARGIN * convergence <= limit and not posterior.inconsistent:
             is_tested = bool(change.hit) and not self._has_encoders
             if not is_tested or self._least_distance(previous, change, x[: self._n]) <= limit:
-                agreed = self._agreed(previous.agreed, change.hit)
+                counts = [*(previous.agreed or self._none)]
+                for i in change.hit:
+                    counts[self._part[i]] += 1
+                agreed = tuple(counts)
         hits = {**previous.hits, **dict.fromkeys(change.hit, float(change.t))}
         return Synchronization(convergence, energy, largest, agreed, hits)
-
-    def _agreed(self, before: tuple[int, ...], hit: Contacts) -> tuple[int, ...]:
-        """For each part, the events in a row that agreed, after one that hit these contacts."""
-        agreed = list(before or self._none)
-        for i in hit:
-            agreed[self._part[i]] += 1
-        return tuple(agreed)
 
     def _least_distance(
         self, previous: Synchronization, change: ContactChange, q: Vector
@@ -112,10 +102,6 @@ class SynchronizationTest:
             return strain
         ago = float(change.t) - max(previous.hits.get(i, -math.inf) for i in change.hit)
         return strain + (self._projection.drift(q, change.active) / (ago * ago) if ago > 0 else 0)
-
-    def is_synchronized(self, result: Synchronization) -> bool:
-        """Whether the replicas are synchronized."""
-        return min(result.agreed, default=0) >= REQUIRED_EVENTS
 
     def obstacle(self, result: Synchronization) -> str:
         """Why the replicas are not synchronized, in a few words; empty if synchronized."""
@@ -133,32 +119,28 @@ class SynchronizationTest:
             return f"agreement at {least} of {REQUIRED_EVENTS} impacts in a row{where}"
         return ""
 
-    def _distance_and_energy(self, ensemble: Ensemble) -> tuple[float, float]:
-        """The largest V distance of two replicas (an upper bound for very many), and energy, J.
+    def _distance_and_energy(self, belief: Belief) -> tuple[float, float]:
+        """The largest V distance of two replicas, -1 for one replica, and the energy, J.
 
-        The energy is NaN where states are not finite.
+        Of very many replicas the distance is an upper bound. The energy is NaN where states are
+        not finite.
         """
-        others = ensemble.others
-        is_bounded = others >= _MOST_COMPARED
-        some = Ensemble(ensemble.x, ensemble.columns[:, :0]) if is_bounded else ensemble
-        energy, distance = some.sizes_by(self._metric)
+        x, others = belief.x, belief.others
+        with np.errstate(over="ignore", invalid="ignore"):
+            energy = float(x.dot(self._metric.dot(x)))
+            images = self._metric.dot(others)
+            if others.shape[1] >= _MOST_PAIRED:
+                farthest = np.max(np.einsum("ij,ij->j", others, images))
+                distance = float(4 * farthest)  # of two, at most twice that from the estimate
+            else:
+                products = others.T.dot(images)
+                squares = np.diagonal(products)
+                apart = squares[:, None] + squares - 2 * products
+                distance = float(max(np.max(squares, initial=0.0), np.max(apart, initial=0.0)))
         if not (math.isfinite(energy) and math.isfinite(distance)):
             return -1.0, math.nan
-        energy = max(energy, 0.0) / 2
-        if not others:
-            return -1.0, energy
-        if is_bounded:
-            lengths = ensemble.mapped(self._lengths)
-            squares = np.einsum("ij,ij->j", lengths, lengths)
-            return 2 * float(squares.max()), energy  # half of twice the radius, squared
-        return distance / 2, energy
+        return distance / 2 if others.size else -1.0, max(energy, 0.0) / 2
 
     @cached_property
     def _projection(self) -> PositionProjection:
         return PositionProjection(self._system)
-
-    @cached_property
-    def _lengths(self) -> Matrix:
-        """Functions the sum of whose squares is ``x^T diag(K, M) x``, shape (2n, 2n)."""
-        squares, axes = linalg.eigh(self._metric)
-        return np.asarray((axes * np.sqrt(np.maximum(squares, 0.0))).T)

@@ -6,11 +6,10 @@ A late event is put in its place, and the events after it are applied again (``d
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter
-from typing import TypeVar
 
 from impact_observer.errors import DynamicsError, ImpactLawError, ImpactObserverError
 from impact_observer.events import Contacts
@@ -25,7 +24,7 @@ from impact_observer.observer.event_order import (
     acting,
 )
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.readings import DeclaredSensor, Reading, SampleOutcome
+from impact_observer.observer.samples import DeclaredSensor, Reading, SampleOutcome
 from impact_observer.observer.synchronization import Synchronization, SynchronizationTest
 from impact_observer.stamps import Elapsed, seconds_between, text
 from impact_observer.states import Matrix
@@ -74,22 +73,14 @@ class Entry:
     prediction: Prediction | None = field(default=None, repr=False)
 
     @property
-    def is_event(self) -> bool:
-        """Whether the entry is of an event, and not of a sample or of the start."""
-        return bool(self.key.switches)
+    def stamp(self) -> int:
+        """Stamp of the event or sample, ns."""
+        return self.key.stamp
 
-
-_Value = TypeVar("_Value")
-
-
-def outcome(steps: Generator[object, None, _Value]) -> _Value:
-    """Returns the value with which a generator ends."""
-    try:
-        while True:
-            next(steps)
-    except StopIteration as end:
-        value: _Value = end.value
-        return value
+    @property
+    def event(self) -> tuple[int, int]:
+        """Stamp (ns) and sequence of the event, or those of a sample."""
+        return self.key[:2]
 
 
 class Timeline:
@@ -138,7 +129,8 @@ class Timeline:
         self.zero = zero
         belief = self._law.begin(replicas, root, ())
         first = Entry(EventKey(stamp, BEFORE_ALL), stamp, belief, self._test.initial(belief))
-        self.entries = [first, *self._applied(first, [k for k in known if k > first.key])]
+        self.entries = [first]
+        self._apply(1, [key for key in known if key > first.key])
 
     def set_state(self, replicas: Matrix, root: Matrix, stamp: int) -> None:
         """Forget the past: ``replicas`` are the state after all events of a ``stamp`` (ns).
@@ -146,24 +138,17 @@ class Timeline:
         Raises:
             ImpactLawError: contacts are closed and their law has no solution for that state.
         """
-        now = self.entry_at(stamp)
+        now, key = self.entry_at(stamp), EventKey(stamp, AFTER_ALL)
         belief = self._law.begin(replicas, root, now.closed)
-        test = self._test.initial(belief)
-        first = Entry(
-            EventKey(stamp, AFTER_ALL),
-            stamp,
-            belief,
-            test,
-            now.closed,
-            last_switches=now.last_switches,
-        )
-        keys = [entry.key for entry in self.entries if entry.key.stamp > stamp]
-        self.entries = [first, *self._applied(first, keys)]
+        test, numbers = self._test.initial(belief), now.last_switches
+        later = [entry.key for entry in self.entries if entry.stamp > stamp]
+        self.entries = [Entry(key, stamp, belief, test, now.closed, last_switches=numbers)]
+        self._apply(1, later)
 
     def go_on_from(self, stamp: int) -> bool:
         """Forget the past before a ``stamp`` (ns) if nothing is later; returns whether so."""
         last = self.entries[-1]
-        if last.key.stamp >= stamp:
+        if last.stamp >= stamp:
             return False
         belief = self.prediction(last).belief(seconds_between(last.since, stamp))
         key = EventKey(stamp, AFTER_ALL)
@@ -173,17 +158,12 @@ class Timeline:
     @property
     def start(self) -> int:
         """The earliest stamp at which an estimate can still be made, ns."""
-        return self.entries[0].key.stamp
+        return self.entries[0].stamp
 
     @property
     def newest(self) -> int:
         """The latest stamp, ns."""
-        return self.entries[-1].key.stamp
-
-    @property
-    def last_event(self) -> int:
-        """Stamp of the latest event applied, ns; 0 before the first."""
-        return self.entries[-1].last[0]
+        return self.entries[-1].stamp
 
     @property
     def is_complete(self) -> bool:
@@ -200,63 +180,54 @@ class Timeline:
         return key > self.entries[0].key and key.stamp >= self.earliest
 
     def __contains__(self, key: EventKey) -> bool:
-        """Whether the timeline has the same event, with the same switches."""
-        at = bisect_left(self.entries, key, key=attrgetter("key"))
-        return at < len(self.entries) and self.entries[at].key == key
+        """Whether the timeline has the same event, or a sample of the same sensor and stamp."""
+        at = bisect_left(self.entries, key[:2], key=attrgetter("event"))
+        for entry in self.entries[at:]:
+            if entry.event != key[:2]:
+                break
+            if key.sample or entry.key == key:
+                return True
+        return False
 
-    def has_sample(self, key: EventKey) -> bool:
-        """Whether the timeline has a sample of the same sensor at the same stamp."""
-        at = bisect_right(self.entries, key[:2], key=_event) - 1
-        return at >= 0 and _event(self.entries[at]) == key[:2]
-
-    def inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Sequence[Entry]]:
+    def insert(self, keys: Iterable[EventKey]) -> Sequence[Entry]:
         """Put events and samples that it ``accepts`` in place; apply later ones again, once.
-
-        Yields after the events and samples of each stamp. The entries change at the end only, and
-        the caller must not change the timeline until then.
 
         Returns:
             The entries from the first stamp of ``keys`` on.
         """
         new = [*keys]
-        first = bisect_left(self.entries, min(new).stamp, lo=1, key=_stamp)
-        made = [self.entries[first - 1]]
-        every = sorted([*(entry.key for entry in self.entries[first:]), *new])
-        for _, of_stamp in groupby(every, key=attrgetter("stamp")):
-            made += self._after(made[-1], [*of_stamp])
-            yield
-        del made[0]
-        self.entries[first:] = made
+        first = bisect_left(self.entries, min(new).stamp, lo=1, key=attrgetter("stamp"))
+        self._apply(first, sorted([*(entry.key for entry in self.entries[first:]), *new]))
+        made = self.entries[first:]
         self._forget()
         return made
 
     def rerun(self, stamp: int) -> None:
         """Apply the events after ``stamp`` (ns) again with changed samples of forces."""
-        first = max(bisect_right(self.entries, stamp, key=_stamp), 1)
+        first = max(bisect_right(self.entries, stamp, key=attrgetter("stamp")), 1)
         previous = self.entries[first - 1]
         if previous.prediction is not None and not previous.prediction.follows_samples:
             previous.prediction = None
-        keys = [each.key for each in self.entries[first:]]
-        self.entries[first:] = self._applied(previous, keys)
+        self._apply(first, [entry.key for entry in self.entries[first:]])
 
-    def _applied(self, previous: Entry, keys: Iterable[EventKey]) -> list[Entry]:
-        """The entries of ``keys``, in order, after a ``previous`` entry."""
-        entries = [previous]
+    def _apply(self, first: int, keys: Iterable[EventKey]) -> None:
+        """Replace the entries from number ``first`` on by those of ``keys``, in order."""
+        made = [self.entries[first - 1]]
         for _, of_stamp in groupby(keys, key=attrgetter("stamp")):
-            entries += self._after(entries[-1], [*of_stamp])
-        return entries[1:]
+            made += self._after(made[-1], [*of_stamp])
+        self.entries[first:] = made[1:]
 
     def _forget(self) -> None:
         """Drop the entries that are older than the history, or too many, but the last of them."""
         entries, until = self.entries, self.newest - self._history
         most = MOST_EVENTS + MOST_MEASURED if self._sensors else MOST_EVENTS
-        if (old := max(len(entries) - most, 0)) > 0:
-            until = max(until, _stamp(entries[old]))
-        while old + 1 < len(entries) and _stamp(entries[old + 1]) <= until:
+        old = max(len(entries) - most, 0)
+        until = max(until, entries[old].stamp if old else until)
+        while old + 1 < len(entries) and entries[old + 1].stamp <= until:
             old += 1  # rarely more than one
         if old:
             oldest = entries[old]
-            entries[: old + 1] = [replace(oldest, key=EventKey(oldest.key.stamp, AFTER_ALL))]
+            entries[: old + 1] = [replace(oldest, key=EventKey(oldest.stamp, AFTER_ALL))]
 
     def entry_at(self, stamp: int) -> Entry:
         """The last entry at or before ``stamp`` (ns)."""
@@ -264,20 +235,20 @@ class Timeline:
 
     def interval(self, stamp: int) -> tuple[Entry, int | None]:
         """The ``entry_at`` a stamp (ns), and the stamp of the next entry, None for the last."""
-        after = max(bisect_right(self.entries, stamp, key=_stamp), 1)
+        after = max(bisect_right(self.entries, stamp, key=attrgetter("stamp")), 1)
         is_last = after == len(self.entries)
-        return self.entries[after - 1], None if is_last else self.entries[after].key.stamp
+        return self.entries[after - 1], None if is_last else self.entries[after].stamp
 
     def around(self, stamp: int, sequence: int, contact: int) -> tuple[Entry, Entry] | None:
         """The entry before the event of a contact, and that of the event; None if not known.
 
         The event has this ``stamp`` (ns) and ``sequence``.
         """
-        at = bisect_right(self.entries, (stamp, sequence), key=_event)
-        while at > 1 and _event(entry := self.entries[at - 1]) == (stamp, sequence):
+        at = bisect_right(self.entries, (stamp, sequence), key=attrgetter("event"))
+        while at > 1 and self.entries[at - 1].event == (stamp, sequence):
             at -= 1
-            if any(i == contact for i, _ in entry.key.switches):
-                return self.entries[at - 1], entry
+            if any(i == contact for i, _ in self.entries[at].key.switches):
+                return self.entries[at - 1], self.entries[at]
         return None
 
     def prediction(self, entry: Entry) -> Prediction:
@@ -312,12 +283,13 @@ class Timeline:
             DynamicsError: the loads of closed contacts cannot be found, or the estimate is not
                 finite.
         """
-        stamp, last = event.stamp, (event.stamp, event.sequence)
+        stamp = event.stamp
         replaced = tuple(sorted({i for i, _ in event.switches} - {i for i, _ in switches}))
+        base = replace(
+            previous, key=event, last=event[:2], replaced=replaced, error=None, outcome=None
+        )
         if not switches:
-            return replace(
-                previous, key=event, last=last, replaced=replaced, error=None, outcome=None
-            )
+            return base
         s = seconds_between(previous.since, stamp)
         change = ContactChange.of(
             Elapsed(stamp - self.zero),
@@ -335,16 +307,14 @@ class Timeline:
         result = self._test.after_event(previous.synchronization, change, prior.x, posterior)
         if not math.isfinite(result.energy):
             raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
-        return Entry(
-            event,
-            stamp,
-            posterior,
-            result,
-            change.closed,
-            last,
-            stamp if change.hit else previous.impact,
-            replaced,
-            rejected=previous.rejected,
+        return replace(
+            base,
+            since=stamp,
+            belief=posterior,
+            synchronization=result,
+            closed=change.closed,
+            impact=stamp if change.hit else previous.impact,
+            prediction=None,
         )
 
     def _after_samples(self, previous: Entry, keys: Sequence[EventKey]) -> list[Entry]:
@@ -352,50 +322,40 @@ class Timeline:
 
         Samples that are not used leave the motion unchanged.
         """
-        stamp, readings = keys[0].stamp, [self._reading(previous, each) for each in keys]
-        outcomes = {r.sensor.index: _blanked(r) for r in readings if r.is_blanked}
-        base = replace(previous, replaced=(), error=None)
-        if used := [each for each in readings if not each.is_blanked]:
+        stamp, base = keys[0].stamp, replace(previous, replaced=(), error=None)
+        outcomes, used = dict[int, SampleOutcome](), list[Reading]()
+        for reading in (self._reading(previous, each) for each in keys):
+            ago, blanking = reading.since_impact, reading.sensor.measurement.blanking
+            if ago < blanking:
+                reason = f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
+                outcomes[reading.sensor.index] = SampleOutcome.unused(reason)
+            else:
+                used.append(reading)
+        if used:
             s, prediction = seconds_between(previous.since, stamp), self.prediction(previous)
             try:
                 belief, made = self._law.measure(used, previous.belief, prediction, s)
                 if belief is not None and not math.isfinite(belief.x.dot(belief.x)):
                     raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
             except ImpactObserverError as error:
-                belief, made = None, [SampleOutcome(0.0, -1.0, False, str(error)) for _ in used]
+                belief, made = None, [SampleOutcome.unused(str(error)) for _ in used]
             outcomes |= {r.sensor.index: found for r, found in zip(used, made, strict=True)}
-            base = replace(base, rejected=_rejected_after(previous, outcomes))
+            base.rejected = _rejected_after(previous, outcomes)
             if belief is not None:
                 base = replace(base, since=stamp, belief=belief, prediction=None)
         return [replace(base, key=each, outcome=outcomes[each.sensor]) for each in keys]
 
     def _reading(self, previous: Entry, key: EventKey) -> Reading:
         """A sample, after the ``previous`` entry."""
-        (value,), impact, ns = key.sample, previous.impact, key.stamp - self.zero
+        (value,), impact = key.sample, previous.impact
         return Reading(
             self._sensors[key.sensor],
             value,
-            Elapsed(ns),
-            ns,
+            key.stamp - self.zero,
             seconds_between(impact, key.stamp) if impact else math.inf,
             previous.closed,
             previous.rejected.get(key.sensor, 0),
         )
-
-
-def _stamp(entry: Entry) -> int:
-    return entry.key.stamp
-
-
-def _event(entry: Entry) -> tuple[int, int]:
-    """Stamp and sequence."""
-    return entry.key[:2]
-
-
-def _blanked(reading: Reading) -> SampleOutcome:
-    ago, blanking = reading.since_impact, reading.sensor.measurement.blanking
-    reason = f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
-    return SampleOutcome(0.0, -1.0, False, reason)
 
 
 def _rejected_after(previous: Entry, outcomes: Mapping[int, SampleOutcome]) -> Mapping[int, int]:

@@ -12,7 +12,6 @@ from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.model.contact_sensors import ContactErrors
 from impact_observer.model.fit_verdict import NO_SHIFT, TimeShift
-from impact_observer.observer.contradiction import Declared
 from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.options import Options, highest
 from impact_observer.robots.robot import Robot
@@ -91,16 +90,16 @@ class Uncertainty:
         most = {name: highest(name) for name in _LIMITED}
         most["deviation"] = LARGEST_DEVIATION
         for name, high in most.items():
-            if getattr(self, name) is None:
+            if (given := getattr(self, name)) is None:
                 continue
-            values = np.asarray(getattr(self, name))
+            values = np.ravel(given)
             if not np.all((values >= 0) & (values <= high)):
-                found = ",".join(f"{value:g}" for value in np.ravel(values))
+                found = ",".join(f"{value:g}" for value in values)
                 raise UsageError(f"{name}: {found} found; expected 0 to {high:g}")
 
     @property
     def trusts_events(self) -> bool:
-        """Whether every event is trusted, and each hit is one."""
+        """Whether every event is as reported, and each hit is reported."""
         return not (self.missed or self.spurious or self.mislabelled or self.dead_time)
 
     def published_covariance(self, root: Matrix, x: Vector, sizes: Vector) -> Matrix:
@@ -121,21 +120,6 @@ class Uncertainty:
     def estimates_parameters(self) -> bool:
         """Whether parameters of the model are estimated with the state."""
         return self.unknowns is not None and bool(self.unknowns.estimated)
-
-    @property
-    def declared_constants(self) -> tuple[Declared, ...]:
-        """What is declared of parameters and of the clock's offset."""
-        unknowns, rows = self.unknowns, list[Declared]()
-        if unknowns is not None:
-            family = unknowns.family
-            columns = (family.nominal, unknowns.deviations, *family.bounds)
-            each = zip(family.names, *(column.tolist() for column in columns), strict=True)
-            rows += [Declared(*row) for row in each]
-        if self.clock_offset_error:
-            rows.append(
-                Declared("clock_offset", 0.0, self.clock_offset_error, -math.inf, math.inf)
-            )
-        return tuple(rows)
 
     def root(self, n: int) -> Matrix:
         """A square root of the initial covariance, shape (2n, 2n).

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The uncertain parameters of the model: estimated with the state, or considered."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.model.free_parameters import OFFSET, is_observed, parametric_family
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
-from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.parametric_family import ModelParameter, ParametricFamily
 from impact_observer.model.system import Element
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -43,11 +43,7 @@ class UnknownParameters:
             UsageError: naming what was found.
         """
         object.__setattr__(self, "covariance", frozen(self.covariance))
-        size = self.family.size
-        object.__setattr__(self, "considered", self.considered or (False,) * size)
-        if self.covariance.shape != (size, size):
-            found = self.covariance.shape
-            raise UsageError(f"covariance: shape {found} found; expected {(size, size)}")
+        object.__setattr__(self, "considered", self.considered or (False,) * self.family.size)
         for each, deviation in zip(self.family.parameters, self.deviations.tolist(), strict=True):
             least, most = each.deviation_range
             if not least <= deviation <= most:
@@ -84,12 +80,14 @@ class UnknownParameters:
 
         ``wanted`` are names as of ``identify --free``, such as ``restitution`` or ``gap.stop``,
         each perhaps with a standard deviation, as in ``restitution=0.05``. Without one the
-        deviation is that of the model's ``uncertainty``.
+        deviation is that of the model's ``uncertainty``, or the usual one. Parameters that only
+        ``identify`` learns are left out, see ``Model.doubts``.
 
         Raises:
-            UsageError: an unknown name, a name that comes twice, or a deviation that is no number.
+            UsageError: an unknown name, a name that comes twice or excludes another, or a
+                deviation that is no number or cannot be used.
         """
-        declared: dict[str, float] = {}
+        given = dict[str, float]()
         names = []
         for text in wanted:
             name, sign, number = (part.strip() for part in text.partition("="))
@@ -100,64 +98,30 @@ class UnknownParameters:
                 )
             names.append(name)
             if sign:
-                declared[name] = _number(text, number)
-        family = parametric_family(system, names, elements, observed=True)
-        found = cls.of(family, declared, uncertainty)
-        return found if uncertainty is None else found.considering(uncertainty, elements)
-
-    @classmethod
-    def of(
-        cls,
-        family: ParametricFamily,
-        declared: Mapping[str, float],
-        uncertainty: ParameterUncertainty | None = None,
-    ) -> "UnknownParameters":
-        """The parameters of a ``family``, all estimated.
-
-        Deviations are ``declared`` by name or kind, or those of the model's ``uncertainty``, or
-        the usual ones.
-
-        Raises:
-            UsageError: a deviation cannot be used.
-        """
-        family = _motion_first(family)
-        known = {} if uncertainty is None else uncertainty.deviation_by_name
-        deviations = []
-        for each in family.parameters:
-            kind = each.name.partition(".")[0]
-            usual = _DEVIATION * each.size
-            usual = _RESTITUTION_DEVIATION if kind == "restitution" else usual
-            usual = known.get(each.name) or usual
-            deviations.append(declared.get(each.name, declared.get(kind, usual)))
-        return cls(family, np.diag(deviations) ** 2)
-
-    def considering(
-        self, uncertainty: ParameterUncertainty, elements: Sequence[Element] = ()
-    ) -> "UnknownParameters":
-        """These, and beside them the others with a deviation in ``uncertainty``: considered.
-
-        Parameters that only ``identify`` learns are left out, see ``Model.doubts``.
-
-        Raises:
-            UsageError: a deviation cannot be used, or a parameter excludes an estimated one.
-        """
-        own, known = self.family, uncertainty.deviation_by_name
-        others = [n for n, d in known.items() if d and n not in own.names and is_observed(n)]
-        if not others:
-            return self
-        names = [*own.names, *others]
-        whole = _motion_first(parametric_family(own.system, names, elements, observed=True))
-        deviation = known | dict(zip(own.names, self.deviations.tolist(), strict=True))
-        scale = np.array([deviation[name] for name in whole.names])
-        covariance = uncertainty.correlation(whole.names) * np.outer(scale, scale)
-        considered = tuple(name in others for name in whole.names)
-        return UnknownParameters(whole, covariance, considered)
+                given[name] = _number(text, number)
+        estimated = parametric_family(system, names, elements, observed=True).names
+        declared = {} if uncertainty is None else uncertainty.deviation_by_name
+        considered = [
+            n for n, d in declared.items() if d and n not in estimated and is_observed(n)
+        ]
+        family = parametric_family(system, [*estimated, *considered], elements, observed=True)
+        ordered = sorted(family.parameters, key=lambda each: not each.moves)
+        family = ParametricFamily(family.system, tuple(ordered))
+        deviations = np.array([_deviation(each, given, declared) for each in ordered])
+        covariance = np.diag(deviations) ** 2
+        if uncertainty is not None:
+            covariance = uncertainty.correlation(family.names) * np.outer(deviations, deviations)
+        return cls(family, covariance, tuple(name in considered for name in family.names))
 
 
-def _motion_first(family: ParametricFamily) -> ParametricFamily:
-    """The ``family`` with the parameters first that change the motion between impacts."""
-    parameters = sorted(family.parameters, key=lambda each: not each.moves)
-    return ParametricFamily(family.system, tuple(parameters))
+def _deviation(
+    parameter: ModelParameter, given: dict[str, float], declared: dict[str, float]
+) -> float:
+    """The prior deviation: as a user has given it by name or kind, declared, or usual."""
+    name = parameter.name
+    kind = name.partition(".")[0]
+    usual = _RESTITUTION_DEVIATION if kind == "restitution" else _DEVIATION * parameter.size
+    return given.get(name, given.get(kind, declared.get(name) or usual))
 
 
 def _number(text: str, number: str) -> float:

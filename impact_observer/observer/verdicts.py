@@ -43,13 +43,20 @@ class IssuedVerdicts:
             start: verdicts on what was before are final, ns.
             owns: stamps and sequences of the events that get their own verdict.
         """
-        if entries[-1].belief.noted is self._notes:
+        before, self._notes = self._notes, entries[-1].belief.noted
+        if before is self._notes:
             return {}, ()
-        notes, outdated = self._changed(entries, start)
+        added = _added(before, self._notes) if len(entries) == 1 else ()
+        found = _by_subject(added) if added else _all_notes(entries)
+        notes = {subject: note for subject, note in found.items() if subject.event[0] >= start}
+        outdated = dict[Subject, Note]()
+        if notes and not added:  # another hypothesis may be the likeliest now
+            since = min(subject.event for subject in notes)
+            known = self._issued.items()
+            outdated = {s: n for s, n in known if s.event >= since and s not in notes}
         verdicts = []
         for subject, latest in notes.items():
             issued = self._issued.get(subject)
-            outdated.pop(subject, None)
             if issued is not None and issued.decision == latest.decision:
                 continue
             note = latest if issued is None else latest._replace(stamp=issued.stamp)
@@ -64,19 +71,6 @@ class IssuedVerdicts:
                 verdict = Verdict(note.stamp, Ruling.REJECTED, 0, name, reason, revises=True)
                 verdicts.append(verdict)
         return notes, tuple(verdicts)
-
-    def _changed(
-        self, entries: Sequence[Entry], start: int
-    ) -> tuple[dict[Subject, Note], dict[Subject, Note]]:
-        """Notes that may not have been issued, and issued ones that may be outdated."""
-        before, self._notes = self._notes, entries[-1].belief.noted
-        added = _added(before, self._notes) if len(entries) == 1 else ()
-        notes = _by_subject(added) if added else _all_notes(entries)
-        current = {subject: n for subject, n in notes.items() if subject.event[0] >= start}
-        if added or not current:  # the usual case: the same hypothesis goes on
-            return current, {}
-        since = min(subject.event for subject in current)
-        return current, {s: note for s, note in self._issued.items() if s.event >= since}
 
     def forget_before(self, stamp: int) -> None:
         """Drop verdicts on subjects before ``stamp`` (ns), which are final."""
@@ -95,16 +89,10 @@ class IssuedVerdicts:
 def with_outcome(
     verdict: Verdict, contact: int, entry: Entry, notes: Mapping[Subject, Note]
 ) -> Verdict:
-    """``verdict`` on a switch with what became of it.
+    """``verdict`` on a switch of a ``contact``, by index, with what became of it.
 
-    Args:
-        verdict: as the switch was received.
-        contact: its index, -1 for none.
-        entry: of the event.
-        notes: of the likeliest hypothesis.
+    The ``entry`` is that of the event, and ``notes`` are those of the likeliest hypothesis.
     """
-    if contact < 0:
-        return verdict
     if entry.error is not None:
         return verdict._replace(ruling=Ruling.REJECTED, reason=str(entry.error))
     if contact in entry.replaced:
@@ -134,10 +122,9 @@ def _all_notes(entries: Sequence[Entry]) -> dict[Subject, Note]:
     """The notes after the last event; on older subjects, those after the events before it."""
     collected: dict[Subject, Note] = {}
     for entry in reversed(entries):
-        if notes := entry.belief.noted:
-            first = min((subject.event for subject in collected), default=None)
-            of_entry = _by_subject(notes).items()
-            collected.update({s: n for s, n in of_entry if first is None or s.event < first})
+        first = min((subject.event for subject in collected), default=None)
+        of_entry = _by_subject(entry.belief.noted).items()
+        collected |= {s: n for s, n in of_entry if first is None or s.event < first}
     return collected
 
 

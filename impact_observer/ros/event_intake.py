@@ -60,7 +60,7 @@ class EventIntake:
         self._come, self._stride = 0, 1
         self._batch: list[WaitingEvent] = []
         self._refused: deque[Judged] = deque()
-        self._work: Iterator[Judged | None] | None = None
+        self._work: Iterator[list[Judged]] | None = None
 
     @property
     def is_busy(self) -> bool:
@@ -107,7 +107,7 @@ class EventIntake:
     def finish(self) -> Iterator[Judged]:
         """Finish the batch that is begun, so that the observer may be changed otherwise."""
         if self._work is not None:
-            yield from (self._finished(*item) for item in self._work if item is not None)
+            yield from (self._finished(*each) for each in chain.from_iterable(self._work))
             self._work = None
 
     def apply_waiting(self) -> Iterator[Judged]:
@@ -121,14 +121,13 @@ class EventIntake:
                 if not self._waiting:
                     return
                 self._work = self._begin_batch()
-            for item in self._work:
-                if item is not None:
-                    yield self._finished(*item)
+            for together in self._work:
+                yield from [self._finished(*each) for each in together]
                 if time.monotonic_ns() >= end:
                     return
             self._work = None
 
-    def _begin_batch(self) -> Iterator[Judged | None]:
+    def _begin_batch(self) -> Iterator[list[Judged]]:
         """Give all events that wait to the observer."""
         self._batch = [*self._waiting]
         self._waiting.clear()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replicas that are propagated together: each as if it were propagated alone."""
 
-from itertools import combinations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,51 +10,8 @@ from systems import EPOCH, estimates, examples, observer, run, sample, systems, 
 from impact_observer.dynamics import lyapunov
 from impact_observer.observer import Belief
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.uncertainty import spread
-
-
-def test_noted_maps_act_in_their_order() -> None:
-    """On differences, not on the estimate; for functions and for replicas."""
-    random = np.random.default_rng(1)
-    replicas, one, two = (random.normal(size=size) for size in ((5, 4), (4, 4), (4, 4)))
-    x, y = random.normal(size=(2, 4))
-    ensemble = Ensemble.of(replicas).propagated(x, one).propagated(y, two)
-    expected = (replicas - replicas[0]) @ one.T @ two.T
-    np.testing.assert_allclose(ensemble.replicas - y, expected, atol=1e-13)
-    np.testing.assert_array_equal(ensemble.replicas[0], y)
-    functions = random.normal(size=(2, 4))
-    np.testing.assert_allclose(
-        ensemble.mapped(functions).T, expected[1:] @ functions.T, atol=1e-12
-    )
-    np.testing.assert_allclose(Ensemble.of(replicas).replicas, replicas, rtol=1e-14)
-
-
-@pytest.mark.parametrize(("size", "count"), [(4, 2), (4, 10), (6, 10), (20, 40)])
-def test_sizes_are_those_of_the_estimate_and_of_all_pairs(size: int, count: int) -> None:
-    """Before and after a map, for few replicas and for many."""
-    random = np.random.default_rng(2)
-    replicas, root = random.normal(size=(count, size)), random.normal(size=(size, size))
-    metric = root.T @ root
-    ensemble = Ensemble.of(replicas)
-    for _ in range(3):
-        pairs = combinations(ensemble.replicas - ensemble.x, 2)
-        largest = max((one - two) @ metric @ (one - two) for one, two in pairs)
-        own = ensemble.x @ metric @ ensemble.x
-        assert ensemble.sizes_by(metric) == pytest.approx((own, largest), rel=1e-12)
-        ensemble = ensemble.propagated(random.normal(size=size), random.normal(size=(size, size)))
-
-
-def test_negligible_differences_become_zero() -> None:
-    """Instead of denormal numbers, once an impact finds all of them so small."""
-    law = Geometric(sample("two_mass").system)
-    x = np.array([0.1, 0.2, 0.3, -0.4])
-    for size, expected in ((1e-98, True), (1e-102, False)):
-        before = Ensemble(x, size * np.ones((4, 3)))
-        after = law.impact_ensemble(before, law.impact(x, (0,), ()), (0,), ())
-        assert after.others == 3
-        assert np.any(after.columns) == expected
 
 
 @pytest.mark.slow
@@ -68,8 +23,8 @@ def test_replicas_that_separate_at_an_impact_keep_their_speed(data: st.DataObjec
     replicas = np.array([data.draw(vectors(2 * model.n)) for _ in range(6)])
     change = ContactChange(0.0, (), (data.draw(st.integers(0, model.m - 1)),), ())
     law = Geometric(model)
-    together = law.correct(change, Belief(Ensemble.of(replicas)))
-    alone = [law.correct(change, Belief(Ensemble.of(x[None]))).x for x in replicas]
+    together = law.correct(change, Belief.of(replicas))
+    alone = [law.correct(change, Belief.of(x[None])).x for x in replicas]
     np.testing.assert_array_equal(together.x, alone[0])
     size = 1 + max(np.max(np.abs(alone)), np.max(np.abs(replicas)))
     np.testing.assert_allclose(together.replicas, alone, rtol=0, atol=1e-10 * size)

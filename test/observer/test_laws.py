@@ -33,7 +33,6 @@ from impact_observer.observer import ReplicaLaw, law_named, law_names
 from impact_observer.observer import laws as laws_module
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws import BUILT_IN, FOR_ROBOTS
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
@@ -189,7 +188,7 @@ class Mirror(ReplicaLaw):
 
 
 @pytest.mark.parametrize(
-    ("method", "inherited"), [("impact", "impact_ensemble"), ("motion", "phase")]
+    ("method", "inherited"), [("impact", "energy_removed"), ("motion", "phase")]
 )
 def test_law_that_inherits_half_of_another_law_is_refused(method: str, inherited: str) -> None:
     """Else its replicas would move by two laws. The error names both methods and the remedy."""
@@ -204,7 +203,6 @@ def test_law_that_inherits_half_of_another_law_is_refused(method: str, inherited
 class Halfway(Geometric):
     """A law that redefines ``impact``, and with it what must agree with an impact."""
 
-    impact_ensemble = ReplicaLaw.impact_ensemble
     energy_removed = ReplicaLaw.energy_removed
 
     def impact(self, x: Array, active: tuple[int, ...], closed: tuple[int, ...]) -> Array:
@@ -217,7 +215,7 @@ def test_all_replicas_jump_by_the_impact_of_their_law() -> None:
     model = sample("two_mass").system
     replicas = np.array([[0.1, 0.6, 1.0, 0.5], [0.2, 0.3, -1.0, 0.8], [0.0, 0.4, 0.3, -0.2]])
     law, change = Halfway(model), ContactChange(0.0, (), (0,), ())
-    found = law.correct(change, Belief(Ensemble.of(replicas)))
+    found = law.correct(change, Belief.of(replicas))
     wanted = [law.impact(x, (0,), ()) for x in replicas]
     np.testing.assert_allclose(found.replicas, wanted, rtol=0, atol=1e-15)
     assert law.begin(replicas, np.eye(4), ()).bound is None

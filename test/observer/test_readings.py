@@ -11,7 +11,7 @@ from impact_observer.bank.sample_correction import Function
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.observer.readings import DeclaredSensor
+from impact_observer.observer.samples import DeclaredSensor
 from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.plant import Run, simulate
 from impact_observer.stamps import NS_PER_S, Elapsed

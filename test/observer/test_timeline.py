@@ -7,7 +7,7 @@ from tracing_law import traced, value
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.event_order import EventKey
-from impact_observer.observer.timeline import Timeline, outcome
+from impact_observer.observer.timeline import Timeline
 
 
 def key(stamp: int, sequence: int = 0, contact: int = 0) -> EventKey:
@@ -19,7 +19,7 @@ def filled(*keys: EventKey, history: int = 1000) -> Timeline:
     """A timeline from stamp 0 on with events that come in the given order."""
     timeline = traced(history)
     for each in keys:
-        outcome(timeline.inserting([each]))
+        timeline.insert([each])
     return timeline
 
 
@@ -73,7 +73,7 @@ def test_the_past_is_as_long_as_the_history() -> None:
     whole = states(filled(key(1), key(2), key(4)))
     timeline = filled(key(1), key(2), history=2)
     assert timeline.is_complete
-    outcome(timeline.inserting([key(4)]))
+    timeline.insert([key(4)])
     assert states(timeline) == whole[2:]
     assert (timeline.start, timeline.is_complete) == (2, False)
     assert value(timeline.entry_at(3)) == whole[2]

@@ -20,7 +20,6 @@ from impact_observer.events import Kind
 from impact_observer.observer import Belief
 from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.event_order import EventKey
-from impact_observer.observer.timeline import outcome
 
 KEYS = st.builds(
     EventKey,
@@ -89,7 +88,7 @@ class TimelineMachine(RuleBasedStateMachine):
         new = [k for k in keys if self.timeline.accepts(k) and k not in self.timeline]
         if not new:
             return
-        made = outcome(self.timeline.inserting(new))
+        made = self.timeline.insert(new)
         assert {*new} <= {entry.key for entry in made}
         self.keys += new
         self.forget()

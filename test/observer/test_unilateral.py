@@ -28,7 +28,6 @@ from impact_observer.errors import ImpactLawError
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.stamps import NS_PER_S, grid
@@ -75,7 +74,7 @@ def test_no_gap_is_ever_negative_under_any_switching(data: st.DataObject) -> Non
         stays = tuple(i for i in active if i in stay)
         assume(possible(active))
         try:
-            x = law.correct(ContactChange(t, closed, hit, stays), Belief(Ensemble.of(x[None]))).x
+            x = law.correct(ContactChange(t, closed, hit, stays), Belief.of(x[None])).x
         except ImpactLawError:
             assume(False)
         closed = stays
@@ -104,9 +103,9 @@ def test_separating_contact_stops_and_closing_contact_bounces() -> None:
     """By hand for two_mass: gamma = -u2, restitution 0.7."""
     law = Unilateral(sample("two_mass").system)
     hit = ContactChange(0.0, (), (0,), ())
-    opening = law.correct(hit, Belief(Ensemble.of(np.array([[0.1, 0.2, 1.0, -2.0]])))).x
+    opening = law.correct(hit, Belief.of(np.array([[0.1, 0.2, 1.0, -2.0]]))).x
     np.testing.assert_allclose(opening, [0.25, 0.5, 1.0, 0.0], atol=1e-12)
-    closing = law.correct(hit, Belief(Ensemble.of(np.array([[0.1, 0.2, 1.0, 2.0]])))).x
+    closing = law.correct(hit, Belief.of(np.array([[0.1, 0.2, 1.0, 2.0]]))).x
     np.testing.assert_allclose(closing, [0.25, 0.5, 1.0, -1.4], rtol=1e-12)
 
 
@@ -116,8 +115,8 @@ def test_of_contacts_that_hit_together_one_may_separate() -> None:
     model = system(np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=corner)
     x = np.array([0.0, 0.0, -1.0, 0.5])  # c1 closes, c2 was hit just before
     both = ContactChange(1.0, (), (0, 1), ())
-    expected = Geometric(model).correct(both, Belief(Ensemble.of(x[None]))).x
-    found = Unilateral(model).correct(both, Belief(Ensemble.of(x[None]))).x
+    expected = Geometric(model).correct(both, Belief.of(x[None])).x
+    found = Unilateral(model).correct(both, Belief.of(x[None])).x
     np.testing.assert_array_equal(found, expected)
 
 
@@ -133,7 +132,7 @@ def test_replica_away_from_other_stops_equals_the_geometric_one() -> None:
         other = unilateral.motion(t, x, closed).state(0.05)
         np.testing.assert_allclose(other, one, rtol=0, atol=1e-12)
         change = ContactChange(t, closed, hit, stays)
-        belief = Belief(Ensemble.of(one[None]))
+        belief = Belief.of(one[None])
         x = geometric.correct(change, belief).x
         np.testing.assert_array_equal(unilateral.correct(change, belief).x, x)
         t, closed = t + 0.05, stays

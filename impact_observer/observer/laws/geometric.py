@@ -11,13 +11,10 @@ from impact_observer.dynamics import Motion, Phase
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector
 
-_FADED = 1e-100
-"""Difference of replicas that is as good as zero: denormal numbers are slow."""
 _MOST_LOST = np.array([np.inf, 0.0])
 """What an impact takes at most of gap and speed: any gap, no speed of separation."""
 
@@ -49,26 +46,6 @@ class Geometric(ReplicaLaw):
             position = self._projection.position_after(position, closed)
         velocity = self.newton.velocity_held(x[..., n:], active, closed)
         return np.concatenate([position, velocity], axis=-1)
-
-    def impact_ensemble(
-        self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
-    ) -> Ensemble:
-        """At a single contact each difference jumps by itself, however small."""
-        if not self._is_single(active, closed):
-            return super().impact_ensemble(before, x, active, closed)
-        w, z, kick = self._jump(active[0])
-        n, others = self.system.n, np.array(before.differences)
-        gamma = w.dot(before.x[n:])
-        speeds = w @ others[n:]
-        lost = np.where(
-            (gamma > 0) | (gamma + speeds > 0),
-            np.minimum(gamma + speeds, 0.0) - min(gamma, 0.0),
-            speeds,  # both approach: however small the difference is
-        )
-        others[:n] -= np.outer(z, w @ others[:n])
-        others[n:] -= np.outer(kick, lost)
-        others[np.abs(others) < _FADED] = 0.0
-        return Ensemble(x, others)
 
     def _is_single(self, active: Contacts, closed: Contacts) -> bool:
         """Whether one contact with a constant coefficient impacts, and none is closed after."""

@@ -13,7 +13,7 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.readings import Reading, SampleOutcome
+from impact_observer.observer.samples import Reading, SampleOutcome
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector

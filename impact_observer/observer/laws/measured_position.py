@@ -24,10 +24,9 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.replica_law import OwnMotions
-from impact_observer.observer.readings import Reading, SampleOutcome
+from impact_observer.observer.samples import Reading, SampleOutcome
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_mechanism import RobotMechanism
 from impact_observer.robots.tangent_robot import tangent
@@ -60,14 +59,14 @@ class MeasuredPosition(Law):
         del root
         n = self._robot.n
         held = [self._held(x[:n], x[n:], closed) for x in replicas]
-        return Belief(Ensemble.of(np.array(held)), unmeasured=np.full(n, math.inf))
+        return Belief.of(np.array(held), unmeasured=np.full(n, math.inf))
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
         """Every replica after its own impact, at the positions that encoders have given it."""
         if not change.hit:
             return prior
         after = [self._jumped(change, x) for x in prior.replicas]
-        return prior._replace(ensemble=Ensemble.of(np.array(after)))
+        return prior.moved(np.array(after))
 
     def measure(
         self, readings: Sequence[Reading], before: Belief, prediction: Prediction, s: float
@@ -102,7 +101,7 @@ class MeasuredPosition(Law):
             after.append(self._moved_to(x, j, innovation / scale, h, reading.closed))
         unmeasured = prior.unmeasured.copy()
         unmeasured[j] = 0.0
-        belief = Belief(Ensemble.of(np.array(after)), unmeasured=unmeasured)
+        belief = Belief.of(np.array(after), unmeasured=unmeasured)
         return belief, innovations[0]
 
     def impact_balance(

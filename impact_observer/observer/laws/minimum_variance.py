@@ -5,7 +5,7 @@
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -21,12 +21,11 @@ from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Ruling
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Learned, Onset, Parameters, Prediction
+from impact_observer.observer.belief import Belief, Onset, Parameters, Prediction
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.misfit import CONTRADICTION, JUMPS, MISFIT, SILENCE
-from impact_observer.observer.readings import Reading, SampleOutcome
+from impact_observer.observer.samples import Reading, SampleOutcome
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_family import family_of
@@ -134,12 +133,13 @@ class MinimumVariance(Law):
         if own is not None and bank.contradicted:
             published = _anywhere(own, bank)
         return Belief(
-            Ensemble(x[:size], np.zeros((size, 0)) if own is None else own),
+            x[:size],
+            np.zeros((size, 0)) if own is None else own,
             published,
             bank=bank,
             flown=s,
             clock_offset=float(x[-1]) if self._has_delay else 0.0,
-            learned=Learned(lambda: self._learned(bank, x, root)),
+            learned=cache(lambda: self._learned(bank, x, root)),
             noted=rows.notes[rows.best],
             clock_deviation=float(ladders.clocks[rows.c[rows.best]]),
             misfit=misfit,
@@ -203,7 +203,7 @@ class MinimumVariance(Law):
         del before, s
         assert isinstance(prediction, BankPrediction), "a prediction of this law"
         bank, outcomes = prediction.bank, list[SampleOutcome]()
-        t = elapsed(readings[0].t)
+        t = Elapsed(readings[0].instant)
         bank = self.filter.predicted(bank, t - bank.t)._replace(t=t, late=0.0)
         for reading in readings:
             sensor = reading.sensor
@@ -220,7 +220,7 @@ class MinimumVariance(Law):
             sample = LinearSample(
                 function,
                 reading.value - shift,
-                sensor.variance,
+                sensor.measurement.deviation**2,
                 gate,
                 sensor.period,
             )
@@ -255,7 +255,7 @@ class MinimumVariance(Law):
         least = self.uncertainty.least_deviations(x[: 2 * self.system.n], bank.sizes)
         return filter_.balance(row, hit, least, prior.constants, inserted=after is None)
 
-    def doubt(self, belief: Belief, deviations: Vector) -> str | None:
+    def doubt(self, belief: Belief, deviations: Vector) -> str:
         """Which deviation is too wide; empty if none is."""
         assert belief.bank is not None, "a belief of this law"
         ratio = deviations / belief.bank.sizes

@@ -16,7 +16,6 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector
@@ -39,11 +38,10 @@ class ReplicaLaw(Law):
             TypeError: a method of another law would be used beside a method of ``cls``.
         """
         super().__init_subclass__()
-        own, impact = vars(cls), ("impact_ensemble", "energy_removed")
-        for method, others in (("impact", impact), ("motion", ("phase",))):
-            for other in others if method in own else ():
-                if other in own or getattr(cls, other) is getattr(ReplicaLaw, other):
-                    continue
+        own = vars(cls)
+        for method, other in (("impact", "energy_removed"), ("motion", "phase")):
+            inherited = other not in own and getattr(cls, other) is not getattr(ReplicaLaw, other)
+            if method in own and inherited:
                 raise TypeError(
                     f"{cls.__name__} overrides {method} and inherits {other} of another law:"
                     f" override it too, or write {other} = ReplicaLaw.{other}"
@@ -111,30 +109,22 @@ class ReplicaLaw(Law):
         reach = float(special.chdtri(2 * n, _BEYOND))
         certified = self.energy_removed(replicas[0], replicas[0], ()) is not None
         bound = reach * max(largest, 0.0) / 2 if certified else None
-        return Belief(Ensemble.of(replicas), bound=bound)
+        return Belief.of(replicas, bound=bound)
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
         """Every replica after its own impact."""
         if not change.hit:
             return prior
-        before, active, closed = prior.ensemble, change.active, change.closed
-        x = self.impact(before.x, active, closed)
-        if before.others:
-            after = self.impact_ensemble(before, x, active, closed)
-        else:
-            after = Ensemble(x, before.columns)
-        bound = prior.bound
+        active, bound = change.active, prior.bound
+        x = self.impact(prior.x, active, change.closed)
+        replicas = x[None]
+        if prior.others.size:
+            others = self._impacts_if_solvable(prior.replicas[1:], active, change.closed)
+            replicas = np.concatenate([replicas, others])
         if bound is not None:
-            removed = self.energy_removed(before.x, x, active)
+            removed = self.energy_removed(prior.x, x, active)
             bound = None if removed is None else bound - removed
-        return self._checked(Belief(after, None, bound, prior.inconsistent))
-
-    def impact_ensemble(
-        self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
-    ) -> Ensemble:
-        """All replicas, at least two, after their impacts; ``x`` is the estimate after its own."""
-        others = self._impacts_if_solvable(before.replicas[1:], active, closed)
-        return Ensemble.of(np.concatenate([x[None], others]))
+        return self._checked(Belief.of(replicas, bound=bound, inconsistent=prior.inconsistent))
 
     def _impacts_if_solvable(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
         """``impact``; a replica whose impact has no solution keeps its state."""
@@ -161,7 +151,7 @@ class ReplicaLaw(Law):
         if (phase := self.phase(closed)) is not None:
             return _CommonPhase(phase.start(t, posterior.x), posterior, phase)
         first = self.motion(t, posterior.x, closed)
-        others = posterior.replicas[1:] if posterior.ensemble.others else ()
+        others = posterior.replicas[1:] if posterior.others.size else ()
         return OwnMotions([first, *(self.motion(t, x, closed) for x in others)], posterior)
 
 
@@ -189,9 +179,7 @@ class OwnMotions(Prediction):
 
     def belief(self, s: float) -> Belief:
         """All replicas, and the bound of before."""
-        replicas = np.array([motion.state(s) for motion in self._motions])
-        belief = self._belief
-        return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
+        return self._belief.moved(np.array([motion.state(s) for motion in self._motions]))
 
 
 class _CommonPhase(Prediction):
@@ -212,15 +200,13 @@ class _CommonPhase(Prediction):
         return self._first.states(s)
 
     def replicas(self, s: Vector) -> NDArray[np.float64]:
-        first, others = self.states(s), self._belief.ensemble.differences.T
+        first, others = self.states(s), self._belief.others.T
         Phi = self._phase.transitions(s).transpose(2, 0, 1).reshape(others.shape[1], -1)
         moved = first + (others @ Phi).reshape(len(others), *first.shape)
         return np.concatenate([first[None], moved])
 
     def belief(self, s: float) -> Belief:
-        before = self._belief.ensemble
-        if before.others:
-            after = before.propagated(self._first.state(s), self._phase.transition(s))
-        else:
-            after = Ensemble(self._first.state(s), before.columns)
-        return Belief(after, None, self._belief.bound, self._belief.inconsistent)
+        others = self._belief.others
+        if others.size:
+            others = self._phase.transition(s).dot(others)
+        return self._belief._replace(x=self._first.state(s), others=others)

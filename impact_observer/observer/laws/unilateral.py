@@ -12,7 +12,6 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.observer.uncertainty import Uncertainty
@@ -52,7 +51,6 @@ class Unilateral(Geometric):
         velocity = self.newton.velocity_held(x[..., n:], active, closed)
         return np.concatenate([x[..., :n], velocity], axis=-1)
 
-    impact_ensemble = ReplicaLaw.impact_ensemble
     phase = ReplicaLaw.phase
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
@@ -67,7 +65,7 @@ class Unilateral(Geometric):
         if self._unilateral.is_possible(change.before):
             return super().correct(change, prior)
         replicas = self._projected(prior.replicas, change.closed)
-        return prior._replace(ensemble=Ensemble.of(replicas))
+        return prior.moved(replicas)
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """The impact of ``geometric`` for contacts that can all be closed at once."""
@@ -85,7 +83,7 @@ class Unilateral(Geometric):
         u = replicas[0, n:] - belief.x[n:]
         removed = float(u @ self.system.M @ u) / 2
         bound = None if belief.bound is None else belief.bound - removed
-        return self._checked(belief._replace(ensemble=Ensemble.of(replicas), bound=bound))
+        return self._checked(belief.moved(replicas)._replace(bound=bound))
 
     def _projected(self, x: Vector, active: Contacts) -> Vector:
         """The nearest states with ``g = 0`` on ``active`` and no gap negative."""

@@ -35,7 +35,6 @@ from impact_observer.model.yaml_text import edited, load_yaml
 from impact_observer.observer import ReplicaLaw
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.unilateral import Unilateral
@@ -132,7 +131,7 @@ def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.Da
         assert before <= last + size
         stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
         change, closed = ContactChange(t, closed, hit, stays), stays
-        states = list(replica.correct(change, Belief(Ensemble.of(np.array(states)))).replicas)
+        states = list(replica.correct(change, Belief.of(np.array(states))).replicas)
         last = distance()
         assert last <= before + size
 
