@@ -5,10 +5,10 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from itertools import chain, islice
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
-from impact_observer.observer import Observer
+from impact_observer.observer.observer import Judged, Observer
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000
@@ -19,8 +19,6 @@ _SLICE = 5_000_000
 """How long events are applied before estimates, timers and services have their turn, ns."""
 _BEHIND = 0.5
 """How long an event waits until the observer counts as behind, s."""
-Judged: TypeAlias = tuple[ImpactEvent, tuple[Verdict, ...]]
-"""An event and the verdicts on its switches."""
 
 
 class WaitingEvent(NamedTuple):

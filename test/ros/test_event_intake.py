@@ -16,8 +16,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
+from impact_observer.observer.observer import Judged
 from impact_observer.ros import event_intake
-from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake, Judged
+from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.stamps import NS_PER_S
 
@@ -36,12 +37,12 @@ class SlowObserver:
     batches: list[int] = field(default_factory=list)
     now: int = NS_PER_S
 
-    def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Judged | None]:
+    def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[list[Judged]]:
         """Apply events as ``Observer.receiving`` does."""
         self.batches.append(len(events))
         for each in events:
             self.now += round(self.seconds * NS_PER_S)
-            yield each, (Verdict(each.stamp, Ruling.APPLIED, each.sequence),)
+            yield [(each, (Verdict(each.stamp, Ruling.APPLIED, each.sequence),))]
 
     def monotonic_ns(self) -> int:
         """Time of this clock, as of ``time.monotonic_ns``."""
