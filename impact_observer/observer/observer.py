@@ -101,8 +101,7 @@ class Observer:
         ensemble: how many replicas are run together.
         given_epoch: the epoch that was given, ns; 0 for none.
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
-        timeline: the events and samples that are kept, each with the belief after it; None before
-            the start is known.
+        timeline: the events and samples that are kept; None before the start is known.
         remarks: how often the stream of events was irregular, by kind.
         live: signals to which samples may be added at any time; None where the system has none.
         robot: the robot; None of a linear system.
@@ -184,7 +183,6 @@ class Observer:
         """Forget all events and samples; the next verdict names the ``reason``, if any."""
         self._notice = f"{reason}: the observer is reset" if reason else self._notice
         self._run: SenderRun | None = None
-        self._assumed_epoch = 0
         self.samples.clear()
         self._revised: list[Verdict] = []
         self._begin_run(self.given_epoch)
@@ -213,8 +211,7 @@ class Observer:
 
         The first pulse is the epoch unless the events or the caller give the epoch.
         """
-        self._assumed_epoch = self._assumed_epoch or stamp
-        self.epoch = self.epoch or self._assumed_epoch
+        self.epoch = self.epoch or stamp
 
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """Apply ``event`` at its own stamp, whenever it arrives.
@@ -326,7 +323,7 @@ class Observer:
         entries = [] if self.timeline is None else self.timeline.entries
         keys = (*self._carried, *(entry.key for entry in entries))
         samples = [key for key in keys if key.sample and key.stamp >= since]
-        self._begin_run(event.epoch or self.given_epoch, samples)
+        self._begin_run(event.epoch or self.epoch, samples)
         self._notice = f"{after.name} is new: the observer is reset"
         self.restarts += 1
         return ""
@@ -346,14 +343,11 @@ class Observer:
 
     def _begin(self, stamp: int) -> Timeline:
         """Have the initial state hold at ``stamp`` (ns)."""
-        replicas = self._starts
-        if replicas is None:
-            initial = self._initial if self.encoders is None else self.encoders.state
-            replicas = spread(initial, self._root, self.ensemble)
+        initial = self._initial if self.encoders is None else self.encoders.state
+        replicas = self._replicas_at(stamp, initial, self._root)
         if self.timeline is None:
             self.timeline = Timeline(self.law, self._test, self._history, self.samples.sensors)
-        zero, replicas = self.epoch or stamp, self._to_frame(stamp, replicas)
-        self.timeline.begin(replicas, self._root, stamp, zero, self._carried)
+        self.timeline.begin(replicas, self._root, stamp, self.epoch or stamp, self._carried)
         self._carried = ()
         return self.timeline
 
@@ -482,7 +476,7 @@ class Observer:
             if is_moved and self.timeline is not None and self.timeline.is_complete:
                 self._begin(first)
         if not self.epoch:
-            self._assumed_epoch = self.epoch = first
+            self.epoch = first
 
     def _use_samples(self, keys: Iterable[EventKey]) -> None:
         """Put samples into their places; late samples together, so that events run again once."""
@@ -660,9 +654,10 @@ class Observer:
         """States (q, u) at ``stamps`` (ns) from states in the frame, (..., samples, 2n)."""
         return self.system.from_frame(stamps - self.epoch, x)
 
-    def _to_frame(self, stamp: int, x: Matrix) -> Matrix:
-        """States in the frame of states (q, u), shape (N, 2n), at ``stamp`` (ns)."""
-        return self.system.to_frame(np.full(len(x), stamp - self.epoch), x)
+    def _replicas_at(self, stamp: int, x: Vector, root: Matrix) -> Matrix:
+        """States in the frame about (q, u) at ``stamp`` (ns) of all replicas, shape (N, 2n)."""
+        replicas = spread(x, root, self.ensemble) if self._starts is None else self._starts
+        return self.system.to_frame(np.full(len(replicas), stamp - self.epoch), replicas)
 
     def impact(self, verdict: Verdict) -> ImpactEstimate | None:
         """The estimate of an impact that a ``verdict`` just received applies or inserts.
@@ -787,12 +782,12 @@ class Observer:
         x = np.concatenate(self.system.checked_state(position, velocity))
         root = self._root if covariance is None else covariance_root(covariance, self.system.n)
         self._follow()
+        self._starts = None
         if self.timeline is None:
-            self._initial, self._root, self._starts, self.encoders = x, root, None, None
+            self._initial, self._root, self.encoders = x, root, None
             return
         stamp = max(whole_stamp(stamp), self.timeline.start)
-        replicas = self._to_frame(stamp, spread(x, root, self.ensemble))
-        self.timeline.set_state(replicas, root, stamp)
+        self.timeline.set_state(self._replicas_at(stamp, x, root), root, stamp)
 
     def start_from(self, replicas: Matrix) -> None:
         """Run ``replicas`` (q, u), shape (N, 2n), the estimate first, instead of the ensemble.

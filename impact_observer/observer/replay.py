@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
+from operator import attrgetter
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -34,10 +35,7 @@ def replay(
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
     for item in replay_batches(observer, events, stamps):
-        if isinstance(item, Estimates):
-            yield from item
-        else:
-            yield item
+        yield from item if isinstance(item, Estimates) else [item]
 
 
 def replay_batches(
@@ -59,23 +57,22 @@ def replay_batches(
     stamps = whole_stamps(stamps)
     errors: list[DynamicsError] | None = [] if rejects else None
     pending, waiting = [*_pending(events)][::-1], [*samples][::-1]
-    while stamps.size:
-        while pending and _due(*pending[-1], observer) <= stamps[0]:
+    while stamps.size or pending:
+        while pending and (not stamps.size or _due(*pending[-1], observer) <= stamps[0]):
             yield from _measured(observer, waiting, pending[-1][1].stamp)
             yield from _received(observer, pending.pop()[1], errors)
+        if not stamps.size:
+            break
         yield from _measured(observer, waiting, int(stamps[0]) + 1)
-        end = min(stamps.size, _BATCH)
+        until = [stamps.size, _BATCH]
         if pending:
-            end = min(int(np.searchsorted(stamps, _due(*pending[-1], observer))), end)
+            until.append(int(np.searchsorted(stamps, _due(*pending[-1], observer))))
         if waiting:
-            end = min(int(np.searchsorted(stamps, waiting[-1].stamp)), end)
-        here, stamps = stamps[:end], stamps[end:]
+            until.append(int(np.searchsorted(stamps, waiting[-1].stamp)))
+        here, stamps = stamps[: min(until)], stamps[min(until) :]
         if observer.start is not None:
             known = here[np.searchsorted(here, observer.start) :]
             yield from observer.estimates(known, replicas=replicas)
-    while pending:
-        yield from _measured(observer, waiting, pending[-1][1].stamp)
-        yield from _received(observer, pending.pop()[1], errors)
     yield from _measured(observer, waiting, MAX_STAMP)
     if errors and not observer.last_event:
         raise errors[0]
@@ -125,16 +122,17 @@ def _pending(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, ImpactEvent]]
 
     The lowest number of a run comes first, as it tells when the initial state holds.
     """
-    for _, members in groupby(in_order(events), key=lambda each: (each.epoch, each.episode)):
+    for _, members in groupby(in_order(events), key=attrgetter("epoch", "episode")):
         run = [*members]
-        first = min(run, key=lambda each: each.sequence)
+        first = min(run, key=attrgetter("sequence"))
         yield run[0].stamp, first
         yield from ((each.stamp, each) for each in run if each is not first)
 
 
 def _due(stamp: int, event: ImpactEvent, observer: Observer) -> int:
     """The stamp from which an event matters, ns: that given, or a new epoch."""
-    known = event.epoch in {0, observer.epoch}
+    epoch = observer.epoch
+    known = not event.epoch or event.epoch == epoch
     if observer.encoders is not None:  # an earlier epoch changes nothing
-        known = event.epoch <= observer.epoch or not observer.epoch
+        known = not epoch or event.epoch <= epoch
     return stamp if known else min(stamp, event.epoch)

@@ -25,15 +25,7 @@ _ROUNDING = float(np.finfo(np.float64).eps)
 """Rounding of a state, relative to the sizes of its motion."""
 _RIGID = 1e-12
 """Eigenvalue that counts as zero, relative to the largest."""
-_LIMITED = (
-    "clock_error",
-    "clock_offset_error",
-    "model_error",
-    "missed",
-    "spurious",
-    "mislabelled",
-    "dead_time",
-)
+_LIMITED = "clock_error clock_offset_error model_error missed spurious mislabelled dead_time"
 _SEED = 2014
 """Of the replicas' initial states: always the same, and not a seed that users give."""
 _SYMMETRY = 1e-9
@@ -87,7 +79,7 @@ class Uncertainty:
             UsageError: naming what was found.
         """
         object.__setattr__(self, "deviation", frozen(self.deviation))
-        most = {name: highest(name) for name in _LIMITED}
+        most = {name: highest(name) for name in _LIMITED.split()}
         most["deviation"] = LARGEST_DEVIATION
         for name, high in most.items():
             if (given := getattr(self, name)) is None:
@@ -141,12 +133,11 @@ def deviation_of(text: str, system: System | Robot) -> Vector:
     Raises:
         UsageError: naming what was found and what is expected.
     """
-    size = 2 * system.n
+    size, most = 2 * system.n, LARGEST_DEVIATION
     try:
         values = np.array([float(part) for part in text.split(",")])
     except ValueError:
         values = np.empty(0)
-    most = LARGEST_DEVIATION
     if values.size not in (1, size) or not np.all((values >= 0) & (values <= most)):
         raise UsageError(
             f"deviation {text!r}: expected one number from 0 to {most:g}, or {size} of them:"

@@ -6,7 +6,7 @@ from pathlib import Path
 from ruamel.yaml import YAML
 
 from impact_observer.io import interfaces
-from impact_observer.observer.laws import BUILT_IN, FOR_ROBOTS
+from impact_observer.observer.laws import OWN_LAWS
 
 FILE = Path(__file__).parents[2] / "config" / "rosbag2" / "qos_overrides.yaml"
 
@@ -15,7 +15,7 @@ def test_the_file_has_every_topic_with_its_quality() -> None:
     """The topics of every built-in law's observer and monitor too."""
     profiles = YAML(typ="safe").load(FILE)
     assert {each.topic for each in interfaces.INTERFACES} <= set(profiles)
-    for law in (*BUILT_IN, *FOR_ROBOTS):
+    for law in OWN_LAWS:
         assert f"/observer_{law.replace('-', '_')}/state" in profiles
         assert f"/monitor_{law.replace('-', '_')}/error" in profiles
     for topic, profile in profiles.items():

@@ -33,7 +33,7 @@ from impact_observer.observer import ReplicaLaw, law_named, law_names
 from impact_observer.observer import laws as laws_module
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.contact_change import ContactChange
-from impact_observer.observer.laws import BUILT_IN, FOR_ROBOTS
+from impact_observer.observer.laws import OWN_LAWS
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.unilateral import Unilateral
@@ -236,7 +236,7 @@ def test_law_of_another_package_is_found_by_its_entry_point(
     """It stands after the built-in ones and cannot replace one of them."""
     install(monkeypatch, a_mirror=f"{__name__}:Mirror", geometric=f"{__name__}:Mirror")
     monkeypatch.setitem(sys.modules, __name__, SimpleNamespace(Mirror=Mirror))
-    assert law_names() == (*BUILT_IN, *FOR_ROBOTS, "a-mirror")
+    assert law_names() == (*OWN_LAWS, "a-mirror")
     assert law_named("a-mirror") is Mirror
     assert law_named("geometric") is Geometric
 

@@ -126,13 +126,6 @@ class ImpactLaw:
         impulses = self._impulses(list(active), speeds)
         return tuple(i for i, impulse in zip(active, impulses, strict=True) if impulse > 0)
 
-    def kick(self, contact: int) -> Vector:
-        """Velocity that an impact of one contact takes away per speed of approach, shape (n,).
-
-        Of another law than a constant coefficient, at the nominal coefficient.
-        """
-        return np.asarray(self._kicks[contact])
-
     def stops(self, pressed: Sequence[int]) -> Matrix:
         """``X`` of ``u+ = u- - X gamma-``, which stops the contacts ``pressed``, shape (n, k)."""
         P = list(pressed)

@@ -5,7 +5,6 @@ Each law has its file. Another package adds a law by an entry point in the group
 ``impact_observer.laws``.
 """
 
-from collections import ChainMap
 from importlib.metadata import entry_points
 
 from impact_observer.errors import UsageError
@@ -19,31 +18,15 @@ from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.process_end import place_in
 
-__all__ = [
-    "BUILT_IN",
-    "FOR_ROBOTS",
-    "OWN_LAWS",
-    "Geometric",
-    "Kinematic",
-    "Law",
-    "MeasuredPosition",
-    "MinimumVariance",
-    "OpenLoop",
-    "ReplicaLaw",
-    "Unilateral",
-    "law_named",
-    "law_names",
-]
+__all__ = ["BUILT_IN", "OWN_LAWS", "Law", "ReplicaLaw", "law_named", "law_names"]
 
 ENTRY_POINTS = "impact_observer.laws"
 BUILT_IN: dict[str, type[Law]] = {
     law.name: law for law in (OpenLoop, Kinematic, Geometric, Unilateral, MinimumVariance)
 }
 """Laws of linear systems."""
-FOR_ROBOTS: dict[str, type[Law]] = {MeasuredPosition.name: MeasuredPosition}
-"""Laws that take robots and no linear systems."""
-OWN_LAWS = ChainMap(FOR_ROBOTS, BUILT_IN)  # whose order is that of the last first
-"""All laws of this package, those of linear systems first."""
+OWN_LAWS: dict[str, type[Law]] = {**BUILT_IN, MeasuredPosition.name: MeasuredPosition}
+"""All laws of this package; the last one takes robots alone."""
 
 
 def law_names() -> tuple[str, ...]:

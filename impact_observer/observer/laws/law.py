@@ -43,11 +43,7 @@ class Law(ABC):
     takes: ClassVar[tuple[type[System | Robot], ...]] = (System,)
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
-        """Prepare the law for one ``system``.
-
-        Args:
-            system: the model of plant and replicas.
-            uncertainty: the declared uncertainty.
+        """Prepare the law; without an ``uncertainty`` for the usual one.
 
         Raises:
             UsageError: the law does not take the system, or the declared uncertainty does not fit.
@@ -62,14 +58,12 @@ class Law(ABC):
         """Raise UsageError if the law does not take systems of this ``kind``, such as ``name``."""
         if issubclass(kind, cls.takes):
             return
+        found = f"takes only robots, and {name} is a linear model"
         if issubclass(kind, Robot):
-            raise UsageError(
-                f"law {cls.name}: takes no robot, as {name} is; expected --law minimum-variance or"
-                " --law measured-position, or the parameter law of a node"
-            )
+            found = f"takes no robot, as {name} is"
         raise UsageError(
-            f"law {cls.name}: takes only robots, and {name} is a linear model; expected another"
-            " law, such as minimum-variance"
+            f"law {cls.name}: {found}; expected --law minimum-variance, or the same parameter of a"
+            " node"
         )
 
     @cached_property

@@ -69,11 +69,9 @@ class Unilateral(Geometric):
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """The impact of ``geometric`` for contacts that can all be closed at once."""
-        return (
-            self.energy_of_jump(before, after, active)
-            if self._unilateral.is_possible(active)
-            else None
-        )
+        if not self._unilateral.is_possible(active):
+            return None
+        return super().energy_removed(before, after, active)
 
     def _approaching(self, belief: Belief, contacts: Contacts) -> Belief:
         """No replica separates at ``contacts``; the bound falls by the energy removed."""
