@@ -13,7 +13,6 @@ from systems import (
 )
 
 from impact_observer.errors import UsageError
-from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.observer import Observer
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.stamps import NS_PER_S, grid
@@ -83,24 +82,6 @@ def test_replicas_together_are_those_that_run_alone(name: str, law: str) -> None
     assert together.shape == (4, stamps.size, 2 * model.system.n)
     for k, start in enumerate(starts):
         np.testing.assert_allclose(together[k], observed(start[None])[0], rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    "law",
-    [
-        pytest.param("kinematic", marks=pytest.mark.slow),
-        "geometric",
-        pytest.param("unilateral", marks=pytest.mark.slow),
-    ],
-)
-def test_estimates_in_persistent_contact_are_those_of_each_stamp_alone(law: str) -> None:
-    """Phase after phase, while the stop stays closed."""
-    model = sample("two_mass").system
-    watcher = observer(model, law, [0.3, 0.4, 1.0, 2.0], epoch=EPOCH)
-    at = EPOCH + NS_PER_S // 3
-    watcher.receive(ImpactEvent(at, (Switch("stop", Kind.CLOSE),), 1, 0, EPOCH))
-    together = checked(watcher, grid(EPOCH, at + 2 * NS_PER_S, 100.0))
-    assert len(together) == 2
 
 
 def test_estimates_before_the_kept_history_are_refused() -> None:

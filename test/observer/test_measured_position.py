@@ -17,7 +17,6 @@ pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
 from robot_runs import encoders
 
-from impact_observer.cli.arguments import installed_laws
 from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
 from impact_observer.events import Kind
@@ -25,8 +24,6 @@ from impact_observer.model import Model, System, read_model
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import (
     Observer,
-    law_named,
-    law_names,
     make_observer,
     synchronization,
 )
@@ -225,18 +222,6 @@ def test_what_the_law_cannot_observe_is_said_in_one_line(
         make_observer(model, options, measurements=sensors)
     assert "\n" not in str(error.value)
     assert "measured-position" in str(error.value) or not joints
-
-
-def test_the_law_is_found_by_its_name_and_is_none_of_all_for_linear_models(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """``compare --laws measured-position`` of a linear bag says why not."""
-    assert law_named("measured-position") is MeasuredPosition
-    assert "measured-position" in law_names()
-    assert "measured-position" not in installed_laws("all")
-    bag = str(shared("bags/two_mass"))
-    assert main(["compare", bag, "--laws", "measured-position"]) == 2
-    assert "takes only robots" in capsys.readouterr().err
 
 
 @pytest.mark.slow

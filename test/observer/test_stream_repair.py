@@ -196,37 +196,6 @@ def reasons(verdicts: Sequence[Verdict]) -> list[tuple[Ruling, str]]:
     return [(each.ruling, each.reason) for each in verdicts]
 
 
-def test_events_without_sequence_numbers_are_ordered_by_stamp() -> None:
-    """Also among events with numbers."""
-    watcher = watcher_of("geometric", [switching(("c1", Kind.CLOSE), seconds=1.0, sequence=1)])
-    assert reasons(watcher.receive(switching(("c1", Kind.OPEN), seconds=1.5))) == [
-        (Ruling.APPLIED, "")
-    ]
-    late = switching(("c1", Kind.CLOSE), seconds=1.2)
-    assert reasons(watcher.receive(late)) == [(Ruling.APPLIED, "late: 1 event run again")]
-    assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ()
-
-
-@LAWS
-@pytest.mark.parametrize("numbered", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_close_replaces_the_impact_of_its_stamp(law: str, *, numbered: bool) -> None:
-    """In either order of arrival; an IMPACT of another contact is left."""
-    first = switching(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)
-    edge = switching(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2 * numbered)
-    between = switching(("c1", Kind.IMPACT), seconds=1.3, sequence=3 * numbered)
-    closing = switching(("c2", Kind.CLOSE), seconds=1.0, sequence=4 * numbered)
-    forth, back = watcher_of(law, [first, edge, between]), watcher_of(law, [first, closing])
-    assert reasons(forth.receive(closing)) == [(Ruling.APPLIED, "late: 1 event run again")]
-    other, void = back.receive(edge)
-    assert (other.ruling, void.ruling) == (Ruling.APPLIED, Ruling.REJECTED)
-    assert "CLOSE" in void.reason
-    assert void.innovation == -1.0
-    back.receive(between)
-    plain = watcher_of(law, [first, switching(("c1", Kind.IMPACT), seconds=1.0), closing, between])
-    assert bits(forth) == bits(back) == bits(plain)
-    assert forth.estimate(EPOCH + 2 * NS_PER_S).closed == ("c2",)
-
-
 def test_replacing_the_latest_event_is_not_late() -> None:
     """IMPACT and CLOSE in a row, with one stamp."""
     watcher = watcher_of("geometric", [event(1.0, "c1", sequence=5)], epoch=0)
@@ -383,22 +352,3 @@ def test_events_received_together_have_the_effect_of_each(data: st.DataObject) -
     assert all(verdicts for _, verdicts in found)
     assert bits(together) == bits(alone)
     assert internal_state(together) == internal_state(alone)
-
-
-def test_events_that_overtake_each_other_within_a_batch_end_as_in_order() -> None:
-    """A batch in reverse, among messages of older runs, gives the bits of the true order."""
-    events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k, episode=9) for k in range(1, 201)]
-    foreign = [event(0.01 * k, "c1", sequence=k, episode=k // 30) for k in (30, 60, 90)]
-    watcher = watcher_of("geometric", events[:1], ensemble=1)
-    batch = [foreign[0], *events[:0:-1], *foreign[1:]]
-    found = [*chain.from_iterable(watcher.receiving(batch))]
-    assert len(found) == len(batch)
-    assert bits(watcher) == bits(watcher_of("geometric", events, ensemble=1))
-
-
-def test_a_flood_of_late_events_ends_as_in_order() -> None:
-    """They are applied together."""
-    events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k) for k in range(1, 401)]
-    watcher = watcher_of("geometric", events[::2], ensemble=1)
-    assert sum(map(len, watcher.receiving(events[1::2][::-1]))) == 200
-    assert bits(watcher) == bits(watcher_of("geometric", events, ensemble=1))

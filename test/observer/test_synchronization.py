@@ -334,16 +334,6 @@ def test_a_contact_that_opens_is_no_impact_and_ends_no_agreement() -> None:
     assert found.agreed == (2,)
 
 
-def test_refuted_bound_ends_synchronization() -> None:
-    """Replicas with too small a spread agree at once, but not with the plant."""
-    watcher = started(THREE_MASS.system, "geometric", random_start(5), deviation=1e-6)
-    distances(watcher)
-    last = watcher.estimate(int(TRUTH.stamps[-1]))
-    assert last.inconsistent
-    assert last.convergence < 1e-10
-    assert not last.synchronized
-
-
 @pytest.mark.filterwarnings("ignore:invalid value")
 def test_estimate_that_is_not_finite_is_refused() -> None:
     """A law that overflows ends with one line; the event is not applied."""

@@ -53,13 +53,6 @@ def test_of_switches_that_jitter_swaps_the_highest_number_holds(
     assert timeline.entries[-1].closed == closed
 
 
-def test_event_at_the_start_comes_after_the_initial_state() -> None:
-    """The initial state holds before any event of its stamp."""
-    timeline = filled(key(0))
-    assert [entry.key.stamp for entry in timeline.entries] == [0, 0]
-    assert timeline.entry_at(0).key.switches == ((0, Kind.IMPACT),)
-
-
 def test_timeline_recognises_its_events() -> None:
     """Equal stamps with another sequence number or contact are new events."""
     timeline = filled(key(2, 1))
@@ -92,13 +85,3 @@ def test_an_event_that_cannot_be_applied_has_no_effect() -> None:
     assert isinstance(failed.error, ImpactLawError)
     assert (value(failed), failed.last) == (value(before), (5, 0))
     assert states(timeline)[-1] == states(filled(key(5), key(8)))[-1]
-
-
-def test_a_close_replaces_the_impact_of_its_stamp_and_contact() -> None:
-    """Whichever comes first; the impact of another contact is left."""
-    closing = EventKey(5, 9, ((0, Kind.CLOSE),))
-    for keys in ([key(5, 8), key(5, 7, 1), closing], [closing, key(5, 7, 1), key(5, 8)]):
-        timeline = filled(*keys)
-        assert [entry.replaced for entry in timeline.entries[1:]] == [(), (0,), ()]
-        assert states(timeline)[-1] == states(filled(key(5, 7, 1), closing))[-1]
-        assert timeline.entries[-1].closed == (0,)
