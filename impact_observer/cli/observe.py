@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _COMPONENTS = 12
 """Most positions and velocities in the table of deviations."""
-_DOUBTED, _FEW = 0.25, 5
+_DOUBTED, _FEW, _CONTRADICTED = 0.25, 5, 4.0
 """Share of the events, and least number of them, whose rejection makes the model doubtful."""
 
 
@@ -177,12 +177,17 @@ def fitted_to(model: "Model", stamps: Iterable[int]) -> Iterator[str]:
 def contradictions_of(observer: "Observer") -> Iterator[str]:
     """What was learned, and is far from what was declared."""
     from impact_observer.draw.reports import figure
-    from impact_observer.observer.contradiction import contradictions
 
-    learned = observer.estimate(observer.newest).parameters
-    for name, declared, found in contradictions(learned, observer.law.uncertainty):
-        here, given = (figure(value, deviation=by) for value, by in (found, declared))
-        yield (
-            f"learned {name} {here} contradicts the declared {given}: widen its"
-            " deviation, or give --model-error (docs/troubles.md)"
-        )
+    own = observer.law.uncertainty
+    declared = {"clock_offset": (0.0, own.clock_offset_error)}
+    if (unknowns := own.unknowns) is not None:
+        values = zip(unknowns.family.nominal.tolist(), unknowns.deviations.tolist(), strict=True)
+        declared |= zip(unknowns.family.names, values, strict=True)
+    for name, value, deviation in observer.estimate(observer.newest).parameters:
+        nominal, error = declared.get(name, (value, 0.0))
+        if abs(value - nominal) > _CONTRADICTED * error > 0:
+            found, given = figure(value, deviation=deviation), figure(nominal, deviation=error)
+            yield (
+                f"learned {name} {found} contradicts the declared {given}: widen its deviation,"
+                " or give --model-error (docs/troubles.md)"
+            )

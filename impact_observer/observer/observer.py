@@ -90,10 +90,9 @@ class Observer:
     indicates the observer's own error. The estimate does not depend on them.
 
     An estimate is a function of the events and samples known, which a ``Timeline`` has in order,
-    and of its stamp. The initial state holds at the epoch. When the observer joins later, so that
-    the lowest sequence number it receives is not 1, it holds at the first stamp received. A robot
-    may start at the first samples of its encoders instead, whose stamp is its epoch if nothing
-    says it.
+    and of its stamp. The initial state holds at the epoch, or at the first stamp received where
+    the lowest sequence number is not 1. A robot may start at the first samples of its encoders
+    instead, whose stamp is its epoch if nothing says it.
 
     Attributes:
         system: the system that plant and replica share.
@@ -203,7 +202,7 @@ class Observer:
         if self.encoders is not None:
             self.encoders.forget()
             self.encoders.note(samples)
-        if samples and self._is_startable:
+        if samples and not self._without:
             self._timeline_with(samples[0].stamp)
 
     def take_pulse(self, stamp: int) -> None:
@@ -272,8 +271,6 @@ class Observer:
     ) -> tuple[EventKey | None, tuple[Verdict, ...]]:
         """The place of an event, None if it is refused, and verdicts on its switches.
 
-        It may be the same as others just ``accepted``.
-
         Raises:
             UsageError: the start is not known yet; the event is kept until it is.
         """
@@ -283,12 +280,9 @@ class Observer:
         if reason := self._followed(event):
             return self._refuse(event, Ruling.REJECTED, reason, Remark.OLD_RUN)
         self._follow()
-        try:
-            self.require_start()
-            require_epoch(self.system, self.epoch)
-        except UsageError:
+        if why := self._without:
             self._without_start.append(event)
-            raise
+            raise UsageError(why)
         verdicts, switches = self._resolve_contacts(event)
         key = EventKey(event.stamp, event.sequence, switches)
         if switches and (key in accepted or (self.timeline is not None and key in self.timeline)):
@@ -390,7 +384,7 @@ class Observer:
         self, entries: Sequence[Entry], owns: Collection[tuple[int, int]] = ()
     ) -> tuple[Mapping[Subject, Note], tuple[Verdict, ...]]:
         """``IssuedVerdicts.issue`` for ``entries`` that were applied."""
-        start = max(entries[0].stamp - self._history, self._past.start)
+        start = max(entries[0].key.stamp - self._history, self._past.start)
         self._issued.forget_before(self._past.start)
         notes, others = self._issued.issue(entries, start, owns)
         self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
@@ -452,18 +446,18 @@ class Observer:
             changed = self.live.follow(self.epoch)
             if changed is not None and self.timeline is not None:
                 self.timeline.rerun(changed)
-        if not self._is_startable:
+        if self._without:
             return
         if waiting:
             keys = {*waiting}
             waiting.clear()
             self._use_samples(keys)
-        early = [*self._without_start]
-        self._without_start.clear()
-        for _, verdicts in chain.from_iterable(self.receiving(early)):
-            for each in verdicts:
-                reason = f"{REVISED}{each.reason or 'as reported'}"
-                self._revised.append(each._replace(reason=reason, revises=True))
+        if early := [*self._without_start]:
+            self._without_start.clear()
+            for _, verdicts in chain.from_iterable(self.receiving(early)):
+                for each in verdicts:
+                    reason = f"{REVISED}{each.reason or 'as reported'}"
+                    self._revised.append(each._replace(reason=reason, revises=True))
 
     def _start_at(self, waiting: Sequence[EventKey]) -> None:
         """Find where a robot starts, and an epoch if none is known, by samples that wait."""
@@ -501,22 +495,24 @@ class Observer:
         self._revised += self._issue(entries)[1]
 
     @property
-    def _is_startable(self) -> bool:
-        """Whether it is known when the initial state holds."""
-        return not self.lacking and bool(self.epoch or not self.system.depends_on_time)
-
-    @property
     def lacking(self) -> tuple[str, ...]:
         """Names of the joints of a robot by whose encoders the start is not known yet."""
         return () if self.encoders is None else self.encoders.lacking
 
-    def require_start(self) -> None:
-        """Raise UsageError if the start is not known yet."""
+    @property
+    def _without(self) -> str:
+        """What is missing to know when the initial state holds; empty once it is known."""
         if lacking := self.lacking:
-            raise UsageError(
+            return (
                 f"initial state: no sample of an encoder of the joint {lacking[0]!r} found;"
                 " expected one first, or an initial state"
             )
+        return _without_epoch(self.system, self.epoch)
+
+    def require_start(self) -> None:
+        """Raise UsageError if the encoders by which a robot starts have had no sample."""
+        if self.lacking:
+            raise UsageError(self._without)
 
     def forget_silence(self, now: int) -> None:
         """Bound the memory while samples arrive for long without any event.
@@ -820,12 +816,18 @@ class Observer:
 
 def require_epoch(system: System, epoch: int) -> None:
     """Raise UsageError where the forcing depends on time and its ``epoch`` (ns) is unknown, 0."""
-    if not epoch and system.depends_on_time:
-        raise UsageError(
-            f"epoch: 0 found, which is none, and the forcing of {system.name} depends on time;"
-            " expected its stamp of t = 0: --epoch S (epoch of nodes, ns), detect --pulses COLUMN,"
-            " or import --time-zero S with S above 0"
-        )
+    if why := _without_epoch(system, epoch):
+        raise UsageError(why)
+
+
+def _without_epoch(system: System, epoch: int) -> str:
+    if epoch or not system.depends_on_time:
+        return ""
+    return (
+        f"epoch: 0 found, which is none, and the forcing of {system.name} depends on time;"
+        " expected its stamp of t = 0: --epoch S (epoch of nodes, ns), detect --pulses COLUMN,"
+        " or import --time-zero S with S above 0"
+    )
 
 
 def _with_first(root: Matrix, errors: Matrix) -> Matrix:

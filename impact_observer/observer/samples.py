@@ -25,11 +25,9 @@ _HALF_STEP = 1000
 
 
 class DeclaredSensor:
-    """A declared measurement of one system.
+    """A declared ``measurement`` of one system.
 
     Attributes:
-        measurement: as it was declared.
-        index: among all sensors.
         period: of what it measures, in its unit: an angle that turns; 0 for none.
         function: factors of position, velocity and acceleration, shape (n,) each, offset, and
             the contact whose gap is measured, -1 for none.
@@ -76,22 +74,12 @@ class DeclaredSensor:
 def sensors_of(
     measurements: Sequence[Measurement], system: System | Robot
 ) -> tuple[DeclaredSensor, ...]:
-    """The sensors of a system.
-
-    Raises:
-        UsageError: the system does not have a coordinate or contact, by file and key.
-    """
+    """The sensors of a system; raises as ``DeclaredSensor``."""
     return tuple(DeclaredSensor(each, system, i) for i, each in enumerate(measurements))
 
 
 class SensorSample(NamedTuple):
-    """One sample of a sensor.
-
-    Attributes:
-        sensor: index of the sensor among those of the observer.
-        stamp: when the value holds, ns; a known delay is subtracted.
-        value: the value measured.
-    """
+    """The value that a sensor, by its index, has measured at a ``stamp``, ns, without delay."""
 
     sensor: int
     stamp: int
@@ -160,7 +148,7 @@ class SampleStream:
         self._verdicts: deque[MeasurementVerdict] = deque(maxlen=MOST_VERDICTS)
 
     def add_samples(self, samples: Iterable[SensorSample]) -> None:
-        """Receive samples; a sample that is no number is judged invalid at once."""
+        """Receive samples; those that are no numbers are judged at once."""
         for sensor, stamp, value in samples:
             counts = self.counts[sensor]
             counts["samples"] += 1

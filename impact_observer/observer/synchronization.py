@@ -92,10 +92,10 @@ class SynchronizationTest:
     def _least_distance(
         self, previous: Synchronization, change: ContactChange, q: Vector
     ) -> float:
-        """Returns a lower bound of V before an impact, J: the plant's gaps were zero.
+        """A lower bound of V before an impact, J: the plant's gaps were zero.
 
-        V is zero for a rigid displacement. So the bound has the energy of the speed that makes the
-        displacement in the time since the previous hit of the contact.
+        Instead of V of a rigid displacement, which is zero, counts the energy of the speed that
+        makes the displacement in the time since the previous hit of the contact.
         """
         strain = self._projection.strain(q, change.active)
         if not self._projection.is_rigid:

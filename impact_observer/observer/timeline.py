@@ -33,6 +33,7 @@ MOST_EVENTS = 5000
 """Events of the history that are kept, whatever its length."""
 MOST_MEASURED = 20_000
 """Samples of sensors that are kept beside the events."""
+_STAMP = attrgetter("key.stamp")
 
 
 @dataclass(slots=True, eq=False)
@@ -41,21 +42,18 @@ class Entry:
 
     Attributes:
         key: the event or sample; at the start of the past, a key without either.
-        since: stamp at which ``belief`` holds, ns; that of ``key``, or of an earlier one if
-            ``key`` has no effect.
-        belief: belief just after it.
-        synchronization: synchronization of the replicas just after it.
-        closed: indices of the contacts with ``chi = 1`` after it, ascending.
+        since: stamp at which ``belief`` holds, ns: an earlier one where ``key`` has no effect.
+        belief: just after it.
+        synchronization: of the replicas just after it.
+        closed: contacts with ``chi = 1`` after it.
         last: stamp (ns) and sequence of the last event so far; zeros before the first.
         impact: stamp of the last impact so far, ns; 0 before the first.
-        replaced: contacts of the event that a later one of the same stamp or a higher number
-            has switched.
-        last_switches: by index of a contact, the sequence of the event that has switched the
-            contact last.
-        error: why the event cannot be applied, so that it has no effect; None if it is applied.
-        outcome: outcome of a sample; None for an event.
+        replaced: contacts of the event whose switches do not act, see ``acting``.
+        last_switches: the numbers of ``acting`` after it.
+        error: why the event has no effect; None if it is applied.
+        outcome: of a sample; None for an event.
         rejected: by index of a sensor, how many of its latest samples in a row were rejected.
-        prediction: prediction from ``since`` on; None until the first request.
+        prediction: from ``since`` on; None until the first request.
     """
 
     key: EventKey
@@ -71,11 +69,6 @@ class Entry:
     outcome: SampleOutcome | None = None
     rejected: Mapping[int, int] = field(default_factory=dict)
     prediction: Prediction | None = field(default=None, repr=False)
-
-    @property
-    def stamp(self) -> int:
-        """Stamp of the event or sample, ns."""
-        return self.key.stamp
 
     @property
     def event(self) -> tuple[int, int]:
@@ -98,14 +91,7 @@ class Timeline:
         history: int,
         sensors: Sequence[DeclaredSensor] = (),
     ) -> None:
-        """Prepare a timeline, which is to ``begin``.
-
-        Args:
-            law: the law that corrects and predicts the belief.
-            test: the test of the replicas' synchronization.
-            history: how late an event may be and still be applied, ns.
-            sensors: beside the impacts.
-        """
+        """Prepare to ``begin``; an event that is later than ``history`` (ns) is not applied."""
         self.entries = list[Entry]()
         self.zero = 0
         self._law, self._test, self._history = law, test, history
@@ -116,14 +102,8 @@ class Timeline:
     ) -> None:
         """Begin with ``replicas`` (q, u), shape (N, 2n), before all events of a ``stamp`` (ns).
 
-        The events and samples so far, and other ``keys``, are applied after it.
-
-        Args:
-            replicas: the estimate first.
-            root: of the estimate's covariance, shape (2n, 2n).
-            stamp: of the start, ns.
-            zero: as the attribute.
-            keys: more events and samples, in any order.
+        The events and samples so far, and other ``keys`` in any order, are applied after it. The
+        ``root`` is one of the estimate's covariance, shape (2n, 2n).
         """
         known = sorted([*(entry.key for entry in self.entries[1:]), *keys])
         self.zero = zero
@@ -141,14 +121,14 @@ class Timeline:
         now, key = self.entry_at(stamp), EventKey(stamp, AFTER_ALL)
         belief = self._law.begin(replicas, root, now.closed)
         test, numbers = self._test.initial(belief), now.last_switches
-        later = [entry.key for entry in self.entries if entry.stamp > stamp]
+        later = [entry.key for entry in self.entries if entry.key.stamp > stamp]
         self.entries = [Entry(key, stamp, belief, test, now.closed, last_switches=numbers)]
         self._apply(1, later)
 
     def go_on_from(self, stamp: int) -> bool:
         """Forget the past before a ``stamp`` (ns) if nothing is later; returns whether so."""
         last = self.entries[-1]
-        if last.stamp >= stamp:
+        if last.key.stamp >= stamp:
             return False
         belief = self.prediction(last).belief(seconds_between(last.since, stamp))
         key = EventKey(stamp, AFTER_ALL)
@@ -158,12 +138,12 @@ class Timeline:
     @property
     def start(self) -> int:
         """The earliest stamp at which an estimate can still be made, ns."""
-        return self.entries[0].stamp
+        return self.entries[0].key.stamp
 
     @property
     def newest(self) -> int:
         """The latest stamp, ns."""
-        return self.entries[-1].stamp
+        return self.entries[-1].key.stamp
 
     @property
     def is_complete(self) -> bool:
@@ -196,7 +176,7 @@ class Timeline:
             The entries from the first stamp of ``keys`` on.
         """
         new = [*keys]
-        first = bisect_left(self.entries, min(new).stamp, lo=1, key=attrgetter("stamp"))
+        first = bisect_left(self.entries, min(new).stamp, lo=1, key=_STAMP)
         self._apply(first, sorted([*(entry.key for entry in self.entries[first:]), *new]))
         made = self.entries[first:]
         self._forget()
@@ -204,7 +184,7 @@ class Timeline:
 
     def rerun(self, stamp: int) -> None:
         """Apply the events after ``stamp`` (ns) again with changed samples of forces."""
-        first = max(bisect_right(self.entries, stamp, key=attrgetter("stamp")), 1)
+        first = max(bisect_right(self.entries, stamp, key=_STAMP), 1)
         previous = self.entries[first - 1]
         if previous.prediction is not None and not previous.prediction.follows_samples:
             previous.prediction = None
@@ -222,12 +202,12 @@ class Timeline:
         entries, until = self.entries, self.newest - self._history
         most = MOST_EVENTS + MOST_MEASURED if self._sensors else MOST_EVENTS
         old = max(len(entries) - most, 0)
-        until = max(until, entries[old].stamp if old else until)
-        while old + 1 < len(entries) and entries[old + 1].stamp <= until:
+        until = max(until, entries[old].key.stamp if old else until)
+        while old + 1 < len(entries) and entries[old + 1].key.stamp <= until:
             old += 1  # rarely more than one
         if old:
             oldest = entries[old]
-            entries[: old + 1] = [replace(oldest, key=EventKey(oldest.stamp, AFTER_ALL))]
+            entries[: old + 1] = [replace(oldest, key=EventKey(oldest.key.stamp, AFTER_ALL))]
 
     def entry_at(self, stamp: int) -> Entry:
         """The last entry at or before ``stamp`` (ns)."""
@@ -235,9 +215,9 @@ class Timeline:
 
     def interval(self, stamp: int) -> tuple[Entry, int | None]:
         """The ``entry_at`` a stamp (ns), and the stamp of the next entry, None for the last."""
-        after = max(bisect_right(self.entries, stamp, key=attrgetter("stamp")), 1)
+        after = max(bisect_right(self.entries, stamp, key=_STAMP), 1)
         is_last = after == len(self.entries)
-        return self.entries[after - 1], None if is_last else self.entries[after].stamp
+        return self.entries[after - 1], None if is_last else self.entries[after].key.stamp
 
     def around(self, stamp: int, sequence: int, contact: int) -> tuple[Entry, Entry] | None:
         """The entry before the event of a contact, and that of the event; None if not known.
@@ -259,10 +239,7 @@ class Timeline:
         return entry.prediction
 
     def _after(self, previous: Entry, keys: Sequence[EventKey]) -> list[Entry]:
-        """The entries of the events, then of the samples, of one stamp after a ``previous`` one.
-
-        An event that cannot be applied has no effect, and its entry the error.
-        """
+        """The entries of the events, then of the samples, of one stamp."""
         entries, events = [previous], [each for each in keys if not each.sample]
         for event, switches, numbers in acting(events, previous.last_switches):
             before = entries[-1]
@@ -279,9 +256,7 @@ class Timeline:
         """The entry of an event of which these ``switches`` act.
 
         Raises:
-            ImpactLawError: the impact law has no solution.
-            DynamicsError: the loads of closed contacts cannot be found, or the estimate is not
-                finite.
+            DynamicsError: as ``Law.correct``, or the estimate is not finite.
         """
         stamp = event.stamp
         replaced = tuple(sorted({i for i, _ in event.switches} - {i for i, _ in switches}))

@@ -73,11 +73,7 @@ class Uncertainty:
     shift: TimeShift = NO_SHIFT
 
     def __post_init__(self) -> None:
-        """Check that every number is from 0 to the most that may be declared.
-
-        Raises:
-            UsageError: naming what was found.
-        """
+        """Raise UsageError unless every number is from 0 to the most that may be declared."""
         object.__setattr__(self, "deviation", frozen(self.deviation))
         most = {name: highest(name) for name in _LIMITED.split()}
         most["deviation"] = LARGEST_DEVIATION
@@ -131,7 +127,7 @@ def deviation_of(text: str, system: System | Robot) -> Vector:
     """Read one number, or ``q1,..,qn,u1,..,un``: standard deviations of an initial state.
 
     Raises:
-        UsageError: naming what was found and what is expected.
+        UsageError: the text is something else.
     """
     size, most = 2 * system.n, LARGEST_DEVIATION
     try:
@@ -190,12 +186,8 @@ def suggested_deviation(system: System) -> str:
     """Deviations of the initial state for a rig of another size than the default's.
 
     Three times the farthest stop at rest for positions, and that times the fastest excitation, or
-    without one the lowest eigenfrequency, for velocities. Too large ones cost little, too small
-    ones mislead: so it is three times.
-
-    Returns:
-        As ``deviation_of`` reads it, each to one digit; empty where the default does, or where the
-        model does not say how large the motion is.
+    without one the lowest eigenfrequency, for velocities: too small ones mislead. As
+    ``deviation_of`` reads it; empty where the default does, or the model does not say the size.
     """
     directions = np.abs(system.W).max(axis=0, initial=0.0)
     gaps = np.abs(system.q_r[directions > 0]) / directions[directions > 0]

@@ -37,11 +37,7 @@ class UnknownParameters:
     considered: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check that the numbers can be used.
-
-        Raises:
-            UsageError: naming what was found.
-        """
+        """Raise UsageError where a deviation cannot be used."""
         object.__setattr__(self, "covariance", frozen(self.covariance))
         object.__setattr__(self, "considered", self.considered or (False,) * self.family.size)
         for each, deviation in zip(self.family.parameters, self.deviations.tolist(), strict=True):

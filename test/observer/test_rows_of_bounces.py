@@ -2,6 +2,7 @@
 """Rows of bounces: a debounced switch reports their first edges, and a force may be other."""
 
 import numpy as np
+import pytest
 from systems import press
 
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch

@@ -96,11 +96,8 @@ class Law(ABC):
     ) -> ImpactBalance:
         """The balance of the contacts that hit; by default that of the estimate's own speeds.
 
-        Args:
-            change: the impact, ``change.flown`` seconds after ``before``.
-            before: the belief after the event before.
-            prediction: the prediction from there on.
-            after: the belief after the impact; None for a missed impact.
+        The impact is ``change.flown`` seconds after the belief ``before``, from which the
+        ``prediction`` goes; the belief ``after`` it is None for a missed impact.
 
         Raises:
             ImpactLawError: the impact law has no solution.
@@ -118,18 +115,13 @@ class Law(ABC):
     ) -> tuple[Belief | None, list[SampleOutcome]]:
         """Correct a belief by samples of one instant; by default samples are not used.
 
-        Args:
-            readings: the samples, at least one.
-            before: the belief ``s`` seconds before them.
-            prediction: that from there on.
-            s: not negative.
+        They are ``s`` seconds after the belief ``before``, from which the ``prediction`` goes.
 
         Returns:
             The posterior, None if no sample is used; and the outcome of each sample.
         """
         del before, prediction, s
-        reason = f"{self.name} uses no measurements"
-        return None, [SampleOutcome(0.0, -1.0, False, reason) for _ in readings]
+        return None, [SampleOutcome.unused(f"{self.name} uses no measurements")] * len(readings)
 
     def doubt(self, belief: Belief, deviations: Vector) -> str | None:
         """Why an estimate is not synchronized; empty if it is.

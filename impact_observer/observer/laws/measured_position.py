@@ -76,7 +76,7 @@ class MeasuredPosition(Law):
         for reading in readings:
             if reading.sensor.measurement.encoded is None:
                 reason = f"{self.name} uses positions of single joints alone"
-                outcomes.append(SampleOutcome(0.0, -1.0, False, reason))
+                outcomes.append(SampleOutcome.unused(reason))
                 continue
             if belief is None:
                 belief = prediction.belief(s) if s > 0 else before

@@ -184,8 +184,7 @@ class MinimumVariance(Law):
         if bank.rows.past.any() or prior.flown:
             bank = self.filter.before(bank, t, change.hit)
         stay = tuple(i for i in change.hit if i in change.closed)
-        opened = tuple(i for i in change.before if i not in change.closed)
-        event = Event(change.hit, stay, opened, change.stamp, change.sequence)
+        event = Event(change.hit, stay, change.opened, change.stamp, change.sequence)
         bank = self.filter.after(bank._replace(t=t, late=delay), event)
         posterior = self.belief(bank, 0.0)
         latest = [note for note in posterior.noted if note.event == event.key]
