@@ -227,34 +227,6 @@ def test_a_rig_of_half_a_millimetre_is_followed_from_a_start_that_is_off_by_a_me
     assert exact.estimate(int(whole.stamps[-1])).synchronized
 
 
-def test_a_silence_with_more_missed_impacts_than_are_inserted_is_not_synchronized() -> None:
-    """From then on deviations are as large as the motion, however long it lasts."""
-    model, start, whole = truth("two_mass", 30.0)
-    watcher, size = (
-        watching(model, start, EXACT, ensemble=10),
-        np.max(np.abs(whole.states), axis=0),
-    )
-    for each in whole.events[:13]:
-        watcher.receive(each)
-    assert watcher.estimate(whole.events[14].stamp).synchronized
-    for seconds in (40, 100, 1e4, 1e6):
-        now = watcher.estimate(EPOCH + round(seconds * NS_PER_S))
-        assert not now.synchronized
-        assert np.all(np.sqrt(np.diag(now.covariance)) > size / 2)
-        assert watcher.obstacle(now.stamp)
-
-
-@pytest.mark.long
-def test_a_jump_of_the_clock_by_an_hour_is_soon_found_hopeless() -> None:
-    """The hour is silence, and after three events the estimate is wide."""
-    watcher, hour = locked(13), 3600.0
-    assert watcher.silence(EPOCH + round(hour * NS_PER_S))
-    assert watcher.estimate(EPOCH + round(hour * NS_PER_S)).misfit
-    for k in range(3):
-        watcher.receive(event(hour + 2 * k, "stop", sequence=14 + k))
-    assert not watcher.estimate(EPOCH + round((hour + 5) * NS_PER_S)).synchronized
-
-
 def recovered(watcher: Observer, whole: Run, events: Sequence[ImpactEvent]) -> list[Verdict]:
     """The verdicts up to a correct estimate, which must come within 2n + 2 events."""
     verdicts: list[Verdict] = []

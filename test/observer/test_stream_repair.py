@@ -196,26 +196,6 @@ def reasons(verdicts: Sequence[Verdict]) -> list[tuple[Ruling, str]]:
     return [(each.ruling, each.reason) for each in verdicts]
 
 
-def test_replacing_the_latest_event_is_not_late() -> None:
-    """IMPACT and CLOSE in a row, with one stamp."""
-    watcher = watcher_of("geometric", [event(1.0, "c1", sequence=5)], epoch=0)
-    closing = switching(("c1", Kind.CLOSE), seconds=1.0, sequence=6)
-    assert reasons(watcher.receive(closing)) == [(Ruling.APPLIED, "")]
-    assert watcher.receive(closing)[0].ruling is Ruling.DUPLICATE
-    assert not watcher.remarks[Remark.LATE]
-
-
-def test_impact_older_than_the_history_cannot_be_replaced() -> None:
-    """The CLOSE is too late: the state before the IMPACT is not kept."""
-    watcher = watcher_of("geometric", history=1.0)
-    for k, seconds in enumerate((0.5, 1.0, 2.1)):
-        watcher.receive(event(seconds, "c1", sequence=k + 1))
-    before = bits(watcher, [EPOCH + 3 * NS_PER_S])
-    verdict = watcher.receive(switching(("c1", Kind.CLOSE), seconds=1.0, sequence=4))[0]
-    assert verdict.ruling is Ruling.TOO_LATE
-    assert bits(watcher, [EPOCH + 3 * NS_PER_S]) == before
-
-
 def test_missing_numbers_are_counted_and_late_events_named() -> None:
     """The verdict on a late event has the number of events that were applied again."""
     watcher = watcher_of("geometric", [event(0.6, "c1", sequence=6)])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convergence without ground truth: ensemble, synchronization and certified bound."""
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -16,7 +14,6 @@ from systems import (
     examples,
     run,
     sample,
-    switching,
     system,
     systems,
     vectors,
@@ -25,7 +22,7 @@ from systems import observer as observer_of
 
 from impact_observer.dynamics import lyapunov, mechanism_of
 from impact_observer.errors import DynamicsError, ImpactLawError
-from impact_observer.events import Kind, Ruling
+from impact_observer.events import Ruling
 from impact_observer.model import System
 from impact_observer.observer import (
     Observer,
@@ -46,8 +43,6 @@ from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
 
 LAWS = pytest.mark.parametrize("law", BUILT_IN)
-ALIKE = pytest.mark.parametrize("law", [law for law in BUILT_IN if law != "minimum-variance"])
-"""Laws in which every replica is corrected by itself."""
 CERTIFIED = pytest.mark.parametrize("law", ["geometric", "unilateral"])
 LONG = 1000.0
 """A history that keeps all events, s."""
@@ -101,35 +96,6 @@ def test_estimate_does_not_depend_on_the_ensemble(law: str) -> None:
         found = watcher.estimate(TRUTH.events[8].stamp)
         bits.add(found.q.tobytes() + found.u.tobytes())
     assert len(bits) == 1
-
-
-PRESSED = chain(2, contacts=[([1, 0], 0.1, 0.5), ([-1, 1], 0.1, 0.5)])
-
-
-@ALIKE
-def test_replicas_of_an_ensemble_move_as_each_does_alone(law: str) -> None:
-    """Through impacts of one contact, of two at once, and while contacts stay closed."""
-    events = [
-        switching(("c1", Kind.IMPACT), seconds=0.3),
-        switching(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=0.7),
-        switching(("c2", Kind.CLOSE), seconds=1.1),
-        switching(("c1", Kind.IMPACT), seconds=1.4),
-        switching(("c2", Kind.OPEN), seconds=1.9),
-        switching(("c1", Kind.IMPACT), seconds=2.2),
-    ]
-    together = observer(PRESSED, law, [0.2, -0.1, 0.5, -0.4], epoch=EPOCH, ensemble=6)
-    timeline = together.timeline
-    assert timeline is not None
-    starts = timeline.entries[0].belief.replicas
-    for each in events:
-        together.receive(each)
-    alone = [observer(PRESSED, law, x, epoch=EPOCH, ensemble=1) for x in starts]
-    for watcher, each in itertools.product(alone, events):
-        watcher.receive(each)
-    for entry in timeline.entries[1:]:
-        states = [watcher.estimate(entry.key.stamp) for watcher in alone]
-        expected = [np.concatenate([each.q, each.u]) for each in states]
-        np.testing.assert_allclose(entry.belief.replicas, expected, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -53,14 +53,6 @@ def test_of_switches_that_jitter_swaps_the_highest_number_holds(
     assert timeline.entries[-1].closed == closed
 
 
-def test_timeline_recognises_its_events() -> None:
-    """Equal stamps with another sequence number or contact are new events."""
-    timeline = filled(key(2, 1))
-    assert key(2, 1) in timeline
-    assert key(2, 2) not in timeline
-    assert key(2, 1, 1) not in timeline
-
-
 def test_the_past_is_as_long_as_the_history() -> None:
     """States after it are the same as before; events of its very start are too late."""
     whole = states(filled(key(1), key(2), key(4)))
