@@ -182,6 +182,7 @@ class Observer:
         """Forget all events and samples; the next verdict names the ``reason``, if any."""
         self._notice = f"{reason}: the observer is reset" if reason else self._notice
         self._run: SenderRun | None = None
+        self._first_pulse = 0
         self.samples.clear()
         self._revised: list[Verdict] = []
         self._begin_run(self.given_epoch)
@@ -210,6 +211,7 @@ class Observer:
 
         The first pulse is the epoch unless the events or the caller give the epoch.
         """
+        self._first_pulse = self._first_pulse or stamp
         self.epoch = self.epoch or stamp
 
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
@@ -317,7 +319,7 @@ class Observer:
         entries = [] if self.timeline is None else self.timeline.entries
         keys = (*self._carried, *(entry.key for entry in entries))
         samples = [key for key in keys if key.sample and key.stamp >= since]
-        self._begin_run(event.epoch or self.epoch, samples)
+        self._begin_run(event.epoch or self.given_epoch or self._first_pulse, samples)
         self._notice = f"{after.name} is new: the observer is reset"
         self.restarts += 1
         return ""

@@ -224,7 +224,7 @@ def test_what_the_law_cannot_observe_is_said_in_one_line(
     assert "measured-position" in str(error.value) or not joints
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_observe_and_compare_the_sample_by_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
