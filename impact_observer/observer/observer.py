@@ -6,13 +6,12 @@ from collections import Counter, deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, groupby, pairwise
 from operator import attrgetter
-from typing import TypeAlias, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.arrays_of_states import StateArrays
-from impact_observer.bank.notes import Note
 from impact_observer.dynamics import mechanism_of
 from impact_observer.errors import UsageError
 from impact_observer.events import (
@@ -33,7 +32,7 @@ from impact_observer.model.multibody import is_multibody
 from impact_observer.observer.belief import Prediction
 from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.encoder_start import EncoderStart
-from impact_observer.observer.event_order import EventKey, Switches
+from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.impact_sides import ImpactSides
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.samples import (
@@ -46,7 +45,7 @@ from impact_observer.observer.sender_runs import SenderRun, SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Timeline
 from impact_observer.observer.uncertainty import covariance_root, spread
-from impact_observer.observer.verdicts import IssuedVerdicts, Subject, with_outcome, with_reasons
+from impact_observer.observer.verdicts import EventVerdicts, Judged, rejection
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot
 from impact_observer.square_roots import lengths_of
@@ -79,10 +78,6 @@ BEFORE_EPOCH = NS_PER_S
 """How long before its own epoch an event may be stamped, ns: above jitter."""
 
 
-Judged: TypeAlias = tuple[ImpactEvent, tuple[Verdict, ...]]
-"""An event and the verdicts on it."""
-
-
 class Observer:
     """Replicas of ``system``, switched by events only; the first of them is the estimate.
 
@@ -101,7 +96,6 @@ class Observer:
         given_epoch: the epoch that was given, ns; 0 for none.
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
         timeline: the events and samples that are kept; None before the start is known.
-        remarks: how often the stream of events was irregular, by kind.
         live: signals to which samples may be added at any time; None where the system has none.
         robot: the robot; None of a linear system.
         encoders: where a robot starts; None for its initial state.
@@ -165,11 +159,9 @@ class Observer:
         self._sides = ImpactSides(law, self._mechanism)
         self._history = from_seconds(history)
         self._names = system.contact_names
-        self._index = {name: i for i, name in enumerate(self._names)}
         self.given_epoch = whole_stamp(epoch, "epoch")
-        self.remarks: Counter[Remark] = Counter()
         self.restarts = 0
-        self._notice = ""
+        self._verdicts = EventVerdicts(system.contact_names)
         self.restart()
 
     def __repr__(self) -> str:
@@ -180,7 +172,8 @@ class Observer:
 
     def restart(self, reason: str = "") -> None:
         """Forget all events and samples; the next verdict names the ``reason``, if any."""
-        self._notice = f"{reason}: the observer is reset" if reason else self._notice
+        if reason:
+            self._verdicts.notice = f"{reason}: the observer is reset"
         self._run: SenderRun | None = None
         self._first_pulse = 0
         self.samples.clear()
@@ -195,7 +188,7 @@ class Observer:
         if self.live is not None and epoch:
             self.live.follow(epoch)
         self._without_start: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
-        self._issued = IssuedVerdicts(self._names)
+        self._verdicts.begin_run()
         self._numbers = SequenceNumbers()
         self._earliest = 0
         self.timeline: Timeline | None = None
@@ -255,7 +248,7 @@ class Observer:
             except UsageError as error:
                 if raises:
                     raise
-                key, verdicts = None, (_verdict(each, Ruling.REJECTED, str(error)),)
+                key, verdicts = None, (rejection(each, str(error)),)
             if key is None:
                 judged.append((each, verdicts))
             else:
@@ -265,7 +258,7 @@ class Observer:
             for entry in entries if raises else ():
                 if entry.key in accepted and entry.error is not None:
                     raise entry.error
-            judged += self._verdicts(accepted, entries)
+            judged += self._verdicts.on_applied(accepted, entries, self._final(entries))
         return [(event, (*verdicts, *self._taken_revised())) for event, verdicts in judged]
 
     def _admit(
@@ -276,25 +269,28 @@ class Observer:
         Raises:
             UsageError: the start is not known yet; the event is kept until it is.
         """
+        refused, verdict = self._verdicts.refused, rejection(event, "")
         if event.epoch - event.stamp > BEFORE_EPOCH:
             reason = f"stamped before its own epoch, {text(event.epoch)} s"
-            return self._refuse(event, Ruling.REJECTED, reason, Remark.BEFORE_EPOCH)
+            return None, refused(verdict._replace(reason=reason), Remark.BEFORE_EPOCH)
         if reason := self._followed(event):
-            return self._refuse(event, Ruling.REJECTED, reason, Remark.OLD_RUN)
+            return None, refused(verdict._replace(reason=reason), Remark.OLD_RUN)
         self._follow()
         if why := self._without:
             self._without_start.append(event)
             raise UsageError(why)
-        verdicts, switches = self._resolve_contacts(event)
+        verdicts, switches = self._verdicts.on_switches(event)
         key = EventKey(event.stamp, event.sequence, switches)
         if switches and (key in accepted or (self.timeline is not None and key in self.timeline)):
-            return self._refuse(event, Ruling.DUPLICATE, "it was seen", Remark.DUPLICATE)
+            verdict = verdict._replace(ruling=Ruling.DUPLICATE, reason="it was seen")
+            return None, refused(verdict, Remark.DUPLICATE)
         self._numbers.note(event.sequence)
         timeline = self._timeline_with(event.stamp)
         if not timeline.accepts(key):
             reason = f"before {text(timeline.earliest)} s, the start of the history"
-            return self._refuse(event, Ruling.TOO_LATE, reason, Remark.TOO_LATE)
-        return (key, verdicts) if switches else (None, self._with_notice(verdicts))
+            verdict = verdict._replace(ruling=Ruling.TOO_LATE, reason=reason)
+            return None, refused(verdict, Remark.TOO_LATE)
+        return (key, verdicts) if switches else (None, self._verdicts.with_notice(verdicts))
 
     def _followed(self, event: ImpactEvent) -> str:
         """Follow the run of the sender to which an event belongs; why not, or nothing.
@@ -320,7 +316,7 @@ class Observer:
         keys = (*self._carried, *(entry.key for entry in entries))
         samples = [key for key in keys if key.sample and key.stamp >= since]
         self._begin_run(event.epoch or self.given_epoch or self._first_pulse, samples)
-        self._notice = f"{after.name} is new: the observer is reset"
+        self._verdicts.notice = f"{after.name} is new: the observer is reset"
         self.restarts += 1
         return ""
 
@@ -356,70 +352,14 @@ class Observer:
     def _insert(self, keys: Iterable[EventKey]) -> Sequence[Entry]:
         """``Timeline.insert``."""
         entries = self._past.insert(keys)
+        self._verdicts.forget_before(self._past.start)
         if self.live is not None:
             self.live.forget_before(self._past.start)
         return entries
 
-    def _verdicts(self, new: Mapping[EventKey, Judged], entries: Sequence[Entry]) -> list[Judged]:
-        """The verdicts on ``new`` events, in order; ``entries`` are those made."""
-        notes, others = self._issue(entries, {key[:2] for key in new})
-        found, again = list[Judged](), 0
-        for entry in reversed(entries):
-            if entry.key not in new:
-                again += bool(entry.key.switches)
-                continue
-            event, verdicts = new[entry.key]
-            self.remarks[Remark.MISFIT] += bool(entry.belief.misfit)
-            self.remarks[Remark.LATE] += again > 0
-            late = f"late: {again} event{'s' * (again != 1)} run again" if again else ""
-            made = [
-                with_outcome(each, self._index[each.contact], entry, notes)
-                if each.contact in self._index
-                else each
-                for each in verdicts
-            ]
-            found.append((event, (with_reasons(made[0], [late]), *made[1:])))
-        (event, own), *later = reversed(found)
-        return [(event, (*self._with_notice(own), *others)), *later]
-
-    def _issue(
-        self, entries: Sequence[Entry], owns: Collection[tuple[int, int]] = ()
-    ) -> tuple[Mapping[Subject, Note], tuple[Verdict, ...]]:
-        """``IssuedVerdicts.issue`` for ``entries`` that were applied."""
-        start = max(entries[0].key.stamp - self._history, self._past.start)
-        self._issued.forget_before(self._past.start)
-        notes, others = self._issued.issue(entries, start, owns)
-        self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
-        return notes, others
-
-    def _resolve_contacts(self, event: ImpactEvent) -> tuple[tuple[Verdict, ...], Switches]:
-        """A verdict for each switch, and the switches of contacts of the model, in order."""
-        if not event.switches:
-            return (_verdict(event, Ruling.REJECTED, "it names no contact"),), ()
-        verdicts: list[Verdict] = []
-        switches: set[tuple[int, Kind]] = set()
-        for switch in event.switches:
-            verdict = Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
-            index = self._index.get(switch.contact)
-            if index is not None:
-                switches.add((index, switch.kind))
-            else:
-                self.remarks[Remark.UNKNOWN_CONTACT] += 1
-                reason = f"the model's contacts are {', '.join(self._index) or 'none'}"
-                verdict = verdict._replace(ruling=Ruling.UNKNOWN_CONTACT, reason=reason)
-            verdicts.append(verdict)
-        return tuple(verdicts), tuple(sorted(switches))
-
-    def _refuse(
-        self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark
-    ) -> tuple[None, tuple[Verdict, ...]]:
-        self.remarks[remark] += 1
-        return None, self._with_notice((_verdict(event, ruling, reason),))
-
-    def _with_notice(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
-        """``verdicts``, the first of them with the reason of a restart, if there was one."""
-        notice, self._notice = self._notice, ""
-        return (with_reasons(verdicts[0], [notice]), *verdicts[1:]) if notice else verdicts
+    def _final(self, entries: Sequence[Entry]) -> int:
+        """The stamp before which verdicts are final once ``entries`` are made, ns."""
+        return max(entries[0].key.stamp - self._history, self._past.start)
 
     def _taken_revised(self) -> tuple[Verdict, ...]:
         """The verdicts on earlier events that have changed since the last call."""
@@ -494,7 +434,7 @@ class Observer:
         for entry in entries:
             if entry.outcome is not None and entry.key in own:
                 self.samples.judge(entry.key, entry.outcome)
-        self._revised += self._issue(entries)[1]
+        self._revised += self._verdicts.changed(entries, self._final(entries))[1]
 
     @property
     def lacking(self) -> tuple[str, ...]:
@@ -796,6 +736,11 @@ class Observer:
         self.restart()
 
     @property
+    def remarks(self) -> Counter[Remark]:
+        """How often the stream of events was irregular, by kind."""
+        return self._verdicts.remarks
+
+    @property
     def start(self) -> int | None:
         """The earliest stamp of an estimate, ns; None before an epoch or event is received."""
         return None if self.timeline is None else self.timeline.start
@@ -836,7 +781,3 @@ def _with_first(root: Matrix, errors: Matrix) -> Matrix:
     """A ``root`` with ``errors`` added to its first columns."""
     others = np.zeros((len(root), root.shape[1] - errors.shape[1]))
     return np.asarray(root + np.hstack([errors, others]))
-
-
-def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
-    return Verdict(event.stamp, ruling, event.sequence, reason=reason)

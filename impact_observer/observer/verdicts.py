@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verdicts on events: the ruling on each switch, and changes of earlier verdicts."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from itertools import takewhile
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from impact_observer.bank.notes import Note
-from impact_observer.events import REVISED, Ruling, Verdict
+from impact_observer.events import REVISED, ImpactEvent, Kind, Remark, Ruling, Verdict
+from impact_observer.observer.event_order import EventKey, Switches
 from impact_observer.observer.timeline import Entry
 
 _NEAR = 1_000
 """Resolution of the stamps of inserted impacts: closer ones are the same impact, ns."""
+Judged: TypeAlias = tuple[ImpactEvent, tuple[Verdict, ...]]
+"""An event and the verdicts on it."""
 
 
 class Subject(NamedTuple):
@@ -21,19 +25,90 @@ class Subject(NamedTuple):
     inserted: bool = False
 
 
-class IssuedVerdicts:
-    """The latest verdict on each subject, so that a changed one is issued again.
+class EventVerdicts:
+    """The verdicts on the events of a sender, and the latest one on each subject.
 
-    Only a law that weighs what each event was has notes, and so changes its verdicts.
+    A changed verdict is issued again. Only a law that weighs what each event was has notes, and
+    so changes its verdicts.
+
+    Attributes:
+        remarks: how often the stream of events was irregular, by kind.
+        notice: the reason of a restart, which the next verdict names; empty without one.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
         """Start with no verdict issued; ``names`` are those of the contacts."""
-        self._names = names
+        self.remarks: Counter[Remark] = Counter()
+        self.notice = ""
+        self._names, self._index = names, {name: i for i, name in enumerate(names)}
+        self.begin_run()
+
+    def begin_run(self) -> None:
+        """Forget the verdicts on the events of the run before."""
         self._issued: dict[Subject, Note] = {}
         self._notes: tuple[Note, ...] = ()
 
-    def issue(
+    def forget_before(self, stamp: int) -> None:
+        """Drop verdicts on subjects before ``stamp`` (ns), which are final."""
+        for subject in [*takewhile(lambda each: each.event[0] < stamp, self._issued)]:
+            del self._issued[subject]
+
+    def on_switches(self, event: ImpactEvent) -> tuple[tuple[Verdict, ...], Switches]:
+        """A verdict for each switch, and the switches of contacts of the model, in order."""
+        if not event.switches:
+            return (rejection(event, "it names no contact"),), ()
+        verdicts: list[Verdict] = []
+        switches: set[tuple[int, Kind]] = set()
+        for switch in event.switches:
+            verdict = Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
+            index = self._index.get(switch.contact)
+            if index is not None:
+                switches.add((index, switch.kind))
+            else:
+                self.remarks[Remark.UNKNOWN_CONTACT] += 1
+                reason = f"the model's contacts are {', '.join(self._index) or 'none'}"
+                verdict = verdict._replace(ruling=Ruling.UNKNOWN_CONTACT, reason=reason)
+            verdicts.append(verdict)
+        return tuple(verdicts), tuple(sorted(switches))
+
+    def refused(self, verdict: Verdict, remark: Remark) -> tuple[Verdict, ...]:
+        """The ``verdict`` on an event that is refused, which is counted."""
+        self.remarks[remark] += 1
+        return self.with_notice((verdict,))
+
+    def with_notice(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
+        """``verdicts``, the first of them with the reason of a restart, if there was one."""
+        notice, self.notice = self.notice, ""
+        return (_with_reason(verdicts[0], notice), *verdicts[1:])
+
+    def on_applied(
+        self, new: Mapping[EventKey, Judged], entries: Sequence[Entry], start: int
+    ) -> list[Judged]:
+        """The verdicts on ``new`` events, in order; ``entries`` are those made.
+
+        With the first come those on others that have changed, see ``changed``.
+        """
+        notes, others = self.changed(entries, start, {key[:2] for key in new})
+        found, again = list[Judged](), 0
+        for entry in reversed(entries):
+            if entry.key not in new:
+                again += bool(entry.key.switches)
+                continue
+            event, verdicts = new[entry.key]
+            self.remarks[Remark.MISFIT] += bool(entry.belief.misfit)
+            self.remarks[Remark.LATE] += again > 0
+            late = f"late: {again} event{'s' * (again != 1)} run again" if again else ""
+            made = [
+                _with_outcome(each, self._index[each.contact], entry, notes)
+                if each.contact in self._index
+                else each
+                for each in verdicts
+            ]
+            found.append((event, (_with_reason(made[0], late), *made[1:])))
+        (event, own), *later = reversed(found)
+        return [(event, (*self.with_notice(own), *others)), *later]
+
+    def changed(
         self, entries: Sequence[Entry], start: int, owns: Collection[tuple[int, int]] = ()
     ) -> tuple[Mapping[Subject, Note], tuple[Verdict, ...]]:
         """The notes of the likeliest hypothesis, and verdicts on others than ``owns``.
@@ -70,12 +145,8 @@ class IssuedVerdicts:
                 name = self._names[note.contact]
                 verdict = Verdict(note.stamp, Ruling.REJECTED, 0, name, reason, revises=True)
                 verdicts.append(verdict)
+        self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in verdicts)
         return notes, tuple(verdicts)
-
-    def forget_before(self, stamp: int) -> None:
-        """Drop verdicts on subjects before ``stamp`` (ns), which are final."""
-        for subject in [*takewhile(lambda each: each.event[0] < stamp, self._issued)]:
-            del self._issued[subject]
 
     def _verdict_of(self, note: Note, *, revises: bool) -> Verdict:
         """A ``note`` in words."""
@@ -86,7 +157,17 @@ class IssuedVerdicts:
         )
 
 
-def with_outcome(
+def rejection(event: ImpactEvent, reason: str) -> Verdict:
+    """The verdict that a whole event is rejected."""
+    return Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
+
+
+def _with_reason(verdict: Verdict, reason: str) -> Verdict:
+    """``verdict`` with one more ``reason``, or the same if that is empty."""
+    return verdict._replace(reason="; ".join(filter(None, (verdict.reason, reason))))
+
+
+def _with_outcome(
     verdict: Verdict, contact: int, entry: Entry, notes: Mapping[Subject, Note]
 ) -> Verdict:
     """``verdict`` on a switch of a ``contact``, by index, with what became of it.
@@ -102,11 +183,6 @@ def with_outcome(
     if note is not None:
         return verdict._replace(ruling=note.ruling, reason=note.reason, innovation=note.innovation)
     return verdict._replace(innovation=entry.belief.innovations.get(contact, -1.0))
-
-
-def with_reasons(verdict: Verdict, reasons: Iterable[str]) -> Verdict:
-    """``verdict`` with more ``reasons``."""
-    return verdict._replace(reason="; ".join(filter(None, (verdict.reason, *reasons))))
 
 
 def _added(before: tuple[Note, ...], now: tuple[Note, ...]) -> tuple[Note, ...]:

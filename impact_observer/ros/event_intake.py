@@ -8,7 +8,8 @@ from itertools import chain, islice
 from typing import NamedTuple
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
-from impact_observer.observer.observer import Judged, Observer
+from impact_observer.observer import Observer
+from impact_observer.observer.verdicts import Judged
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000

@@ -25,7 +25,7 @@ from impact_observer.model import read_model
 from impact_observer.model.measurement import read_measurements
 from impact_observer.observer import initial_state, make_observer
 from impact_observer.observer.misfit import EXPLAINED
-from impact_observer.observer.observer import Judged
+from impact_observer.observer.verdicts import Judged
 from impact_observer.options import OBSERVER_OPTIONS, Options, Value
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode, without_numbers

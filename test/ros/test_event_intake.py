@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
-from impact_observer.observer.observer import Judged
+from impact_observer.observer.verdicts import Judged
 from impact_observer.ros import event_intake
 from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
