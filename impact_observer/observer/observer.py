@@ -176,6 +176,7 @@ class Observer:
             self._verdicts.notice = f"{reason}: the observer is reset"
         self._run: SenderRun | None = None
         self._first_pulse = 0
+        self._is_inserting = False
         self.samples.clear()
         self._revised: list[Verdict] = []
         self._begin_run(self.given_epoch)
@@ -219,26 +220,32 @@ class Observer:
             DynamicsError: the loads of closed contacts cannot be found; the event is not applied.
             UsageError: the forcing depends on time and its epoch is unknown.
         """
-        ((_, verdicts),) = self._receive([event], raises=True)
+        *_, ((_, verdicts),) = self._receiving([event], raises=True)
         return verdicts
 
     def receiving(self, events: Iterable[ImpactEvent]) -> Iterator[list[Judged]]:
         """``receive`` several events; late events together, so that later events run again once.
 
-        An error that ``receive`` would raise becomes the reason of a rejection.
+        An error that ``receive`` would raise becomes the reason of a rejection. An estimate
+        contains the late events once their verdicts are yielded; until then no other call may
+        change the observer. A caller that closes the generator may give the events again that had
+        no verdict.
 
         Yields:
-            Events that were applied together, each with its verdicts.
+            Events that were applied together, each with its verdicts; none after each step of work
+            in between.
         """
         for _, members in groupby(events, key=attrgetter("epoch", "episode")):
             ordered = sorted(members, key=attrgetter("stamp", "sequence"))
             late = bisect_right(ordered, self.newest, key=attrgetter("stamp"))
             if late:
-                yield self._receive(ordered[:late])
+                yield from self._receiving(ordered[:late])
             for each in ordered[late:]:
-                yield self._receive([each])
+                yield from self._receiving([each])
 
-    def _receive(self, events: Iterable[ImpactEvent], *, raises: bool = False) -> list[Judged]:
+    def _receiving(
+        self, events: Iterable[ImpactEvent], *, raises: bool = False
+    ) -> Iterator[list[Judged]]:
         """Apply ``events`` together; their errors are raised, or become rejections."""
         accepted: dict[EventKey, Judged] = {}
         judged = list[Judged]()
@@ -254,12 +261,15 @@ class Observer:
             else:
                 accepted[key] = each, verdicts
         if accepted:
-            entries = self._insert(accepted)
+            entries: Sequence[Entry] = ()
+            for entries in self._inserting(accepted):
+                if not entries:
+                    yield []
             for entry in entries if raises else ():
                 if entry.key in accepted and entry.error is not None:
                     raise entry.error
             judged += self._verdicts.on_applied(accepted, entries, self._final(entries))
-        return [(event, (*verdicts, *self._taken_revised())) for event, verdicts in judged]
+        yield [(event, (*verdicts, *self._taken_revised())) for event, verdicts in judged]
 
     def _admit(
         self, event: ImpactEvent, accepted: Collection[EventKey]
@@ -349,13 +359,16 @@ class Observer:
         assert self.timeline is not None, "the start is known"
         return self.timeline
 
-    def _insert(self, keys: Iterable[EventKey]) -> Sequence[Entry]:
-        """``Timeline.insert``."""
-        entries = self._past.insert(keys)
+    def _inserting(self, keys: Iterable[EventKey]) -> Iterator[Sequence[Entry]]:
+        """``Timeline.inserting``; meanwhile estimates are those of before."""
+        self._is_inserting = True
+        try:
+            yield from self._past.inserting(keys)
+        finally:
+            self._is_inserting = False
         self._verdicts.forget_before(self._past.start)
         if self.live is not None:
             self.live.forget_before(self._past.start)
-        return entries
 
     def _final(self, entries: Sequence[Entry]) -> int:
         """The stamp before which verdicts are final once ``entries`` are made, ns."""
@@ -380,7 +393,9 @@ class Observer:
         return self._taken_revised()
 
     def _follow(self) -> None:
-        """Use samples and events that wait."""
+        """Use samples and events that wait, except while events are inserted."""
+        if self._is_inserting:
+            return
         waiting = self.samples.waiting
         if waiting and self.system.has_encoders:
             self._start_at(waiting)
@@ -430,7 +445,8 @@ class Observer:
                 new.append(key)
         if not new:
             return
-        entries, own = self._insert(new), {*new}
+        *_, entries = self._inserting(new)
+        own = {*new}
         for entry in entries:
             if entry.outcome is not None and entry.key in own:
                 self.samples.judge(entry.key, entry.outcome)
@@ -471,7 +487,7 @@ class Observer:
         if not is_many and not self.system.has_encoders:
             return
         self._follow()
-        if self.timeline is None:
+        if self._is_inserting or self.timeline is None:
             return
         if self.timeline.go_on_from(now - self._history) and live is not None:
             live.forget_before(now - self._history)

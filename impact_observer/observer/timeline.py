@@ -6,7 +6,7 @@ A late event is put in its place, and the events after it are applied again (``d
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter
@@ -169,18 +169,23 @@ class Timeline:
                 return True
         return False
 
-    def insert(self, keys: Iterable[EventKey]) -> Sequence[Entry]:
+    def inserting(self, keys: Iterable[EventKey]) -> Iterator[Sequence[Entry]]:
         """Put events and samples that it ``accepts`` in place; apply later ones again, once.
 
-        Returns:
-            The entries from the first stamp of ``keys`` on.
+        Yields:
+            Nothing after those of each stamp; at last the entries from the first stamp of ``keys``
+            on. The entries change then only, and until then no other call may change them.
         """
         new = [*keys]
         first = bisect_left(self.entries, min(new).stamp, lo=1, key=_STAMP)
-        self._apply(first, sorted([*(entry.key for entry in self.entries[first:]), *new]))
-        made = self.entries[first:]
+        made = [self.entries[first - 1]]
+        every = sorted([*(entry.key for entry in self.entries[first:]), *new])
+        for _, of_stamp in groupby(every, key=attrgetter("stamp")):
+            made += self._after(made[-1], [*of_stamp])
+            yield ()
+        self.entries[first:] = made[1:]
         self._forget()
-        return made
+        yield made[1:]
 
     def rerun(self, stamp: int) -> None:
         """Apply the events after ``stamp`` (ns) again with changed samples of forces."""

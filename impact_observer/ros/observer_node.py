@@ -242,6 +242,8 @@ class ObserverNode(BaseNode):
             if any(each.ruling is Ruling.APPLIED for each in verdicts):
                 self._diagnostics.note_latency(latency)
             self._publish_verdicts(self._with_lag_reason(verdicts) if late else verdicts, latency)
+        if self.observer.samples.sensors:  # samples that came while events were inserted
+            self._samples.use_waiting()
 
     def _correct_from(self, stamp: int) -> None:
         """Publish the last estimate again if knowledge has changed from ``stamp`` (ns) on."""

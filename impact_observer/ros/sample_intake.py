@@ -144,6 +144,11 @@ class SampleIntake:
         for each in self._receivers.values():
             each.take_arrived()
 
+    def use_waiting(self) -> None:
+        """Use the samples that came while the observer inserted events."""
+        since = min((s.stamp for s in self._observer.samples.waiting), default=MAX_STAMP)
+        self._on_samples(since, self._measured(()))
+
     def _use(self, samples: Sequence[_Sample]) -> None:
         """Give samples to the observer; of too many, some."""
         since, revised = MAX_STAMP, list[Verdict]()

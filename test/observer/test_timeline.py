@@ -19,7 +19,7 @@ def filled(*keys: EventKey, history: int = 1000) -> Timeline:
     """A timeline from stamp 0 on with events that come in the given order."""
     timeline = traced(history)
     for each in keys:
-        timeline.insert([each])
+        *_, _ = timeline.inserting([each])
     return timeline
 
 
@@ -58,7 +58,7 @@ def test_the_past_is_as_long_as_the_history() -> None:
     whole = states(filled(key(1), key(2), key(4)))
     timeline = filled(key(1), key(2), history=2)
     assert timeline.is_complete
-    timeline.insert([key(4)])
+    *_, _ = timeline.inserting([key(4)])
     assert states(timeline) == whole[2:]
     assert (timeline.start, timeline.is_complete) == (2, False)
     assert value(timeline.entry_at(3)) == whole[2]

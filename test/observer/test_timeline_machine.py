@@ -88,7 +88,7 @@ class TimelineMachine(RuleBasedStateMachine):
         new = [k for k in keys if self.timeline.accepts(k) and k not in self.timeline]
         if not new:
             return
-        made = self.timeline.insert(new)
+        *_, made = self.timeline.inserting(new)
         assert {*new} <= {entry.key for entry in made}
         self.keys += new
         self.forget()
