@@ -20,7 +20,7 @@ from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
-from impact_observer.io.state_arrays import JointStates
+from impact_observer.io.state_arrays import RecordedStates
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.plain_text import say
@@ -345,7 +345,7 @@ def _contact_findings(
 
 def _truth_findings(
     topic: str,
-    truth: JointStates,
+    truth: RecordedStates,
     events: Sequence[ImpactEvent],
     system: System | RobotDescription | None,
 ) -> Iterator[Finding]:

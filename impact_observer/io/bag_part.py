@@ -10,7 +10,7 @@ from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.measured_samples import received_topics
-from impact_observer.io.reader import BagReader, first_stamp, states_of
+from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import epoch_of
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
@@ -68,10 +68,8 @@ def time_zero(reader: BagReader, epoch: int | None = None) -> TimeZero:
             return TimeZero(known)
         if events:
             return TimeZero(min(each.stamp for each in events), FIRST_IMPACT)
-        truth = reader.truth_topic()
-        estimates = [states_of(reader, prefix) for prefix in reader.observers()]
-        if first := first_stamp(reader, [*([truth] if truth else []), *estimates]):
-            return TimeZero(first, FIRST_STATE)
+        if first := reader.first_state(reader.state_topics()):
+            return TimeZero(first.stamp, FIRST_STATE)
     raise UnfitBagError(f"{reader.path}: has no time zero; expected an epoch, impacts or states")
 
 

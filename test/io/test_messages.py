@@ -195,8 +195,8 @@ def test_estimate_error_survives_its_message(error: EstimateError) -> None:
         bag_messages().estimate_error(error), interfaces.ESTIMATE_ERROR
     )
     assert (back.law, back.v, tuple(back.name)) == (error.law, error.v, error.names)
-    np.testing.assert_array_equal(back.position_error, error.q)
-    np.testing.assert_array_equal(back.velocity_error, error.u)
+    np.testing.assert_array_equal(back.position_error, error.position_error)
+    np.testing.assert_array_equal(back.velocity_error, error.velocity_error)
 
 
 MAKERS: SearchStrategy[tuple[str, Callable[[Messages], object]]] = st.one_of(
@@ -333,7 +333,7 @@ def test_received_constant_must_be_known() -> None:
     """The error lists those that are."""
     event = bag_messages().event(ImpactEvent(5, (Switch("a"),)))
     event.switches[0].kind = 7
-    with pytest.raises(MessageError, match=r"switches\[0\]\.kind is 7; expected 0 \(IMPACT\)"):
+    with pytest.raises(MessageError, match=r"ContactSwitch\.kind is 7; expected 0 \(IMPACT\)"):
         m.read_event(event)
     verdict = bag_messages().verdict(Verdict(5, Ruling.APPLIED))
     verdict.verdict = 9
