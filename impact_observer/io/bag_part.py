@@ -50,11 +50,7 @@ class TimeZero(NamedTuple):
 def time_zero(reader: BagReader, epoch: int | None = None) -> TimeZero:
     """The epoch of a bag; without an epoch the first impact, without impacts the first state.
 
-    A part of a bag has the zero of the whole bag.
-
-    Args:
-        reader: the bag.
-        epoch: the epoch, ns, if the caller gives one; None or 0 for that of the bag.
+    A part of a bag has the zero of the whole bag. An ``epoch`` (ns) of the caller comes first.
 
     Raises:
         BagError: the bag is damaged, or has neither epoch nor impacts nor states.
@@ -93,17 +89,9 @@ def assumed_epoch(
 ) -> TimeZero:
     """What is taken for the epoch: the first of the ``samples`` that come before all ``events``.
 
-    Its stamp, at which the initial state holds, is 0 where an epoch is known, and where no sample
-    comes before the first impact.
-
     Where nothing depends on time, the epoch is only the instant of the initial state, and any
-    instant will do.
-
-    Args:
-        system: of the rig.
-        events: of the bag.
-        samples: of sensors, by stamp; empty if they are not used.
-        epoch: the epoch that is given, ns; 0 for none.
+    instant will do. The stamp is 0 where an epoch is known (``epoch``, ns, or by the events), and
+    where no sample comes before the first impact.
     """
     if epoch or epoch_of(events) or not events:
         return TimeZero(0)
@@ -135,13 +123,7 @@ class BagPart(NamedTuple):
 
     @classmethod
     def between(cls, zero: TimeZero, start: float | None, duration: float | None) -> "BagPart":
-        """The part that begins ``start`` s after ``zero`` and lasts ``duration`` s.
-
-        Args:
-            zero: time zero.
-            start: s; None for all that comes before ``zero``, too.
-            duration: s, after the start or ``zero``; None for all.
-        """
+        """The part from ``start`` s after ``zero``, ``duration`` s long; None for an open end."""
         most = seconds_between(0, MAX_STAMP)
         begin = min(zero.stamp + from_seconds(min(start or 0.0, most)), MAX_STAMP)
         low, high = 0 if start is None else begin, MAX_STAMP
@@ -218,19 +200,7 @@ def read_impacts_part(
     *,
     tell: Callable[[str], object],
 ) -> None:
-    """``read_part`` of a bag for an observer; the part must have an impact.
-
-    Args:
-        reader: the bag.
-        start: of the part, s after t = 0; None for all before it, too.
-        duration: of the part, s; None for all.
-        epoch: stamp of ``t = 0``, ns; 0 for that of ``time_zero``.
-        measurements: of sensors whose samples are read, too.
-        tell: called with a line that names the part, if it is not the whole bag.
-
-    Raises:
-        UsageError, BagError: as ``read_part``.
-    """
+    """``read_part`` of a bag, with its ``epoch`` (ns), for an observer; it must have an impact."""
     read_part(
         reader,
         start,
