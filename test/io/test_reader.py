@@ -6,9 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from foreign_bags import rewritten
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from systems import examples
 
 from impact_observer.errors import BagError, UsageError
@@ -63,36 +64,17 @@ def bag(first_bag: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(first_bag, tmp_path / "bag"))
 
 
-def rewritten(source: Path, target: Path, **choices: object) -> Path:
-    """The same bag as ``rosbags`` writes it with other choices."""
-    writer = Writer(target, version=8, storage_plugin=StoragePlugin.SQLITE3)
-    if choices.get("zstd"):
-        writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
-    with BagReader(source) as reader, writer:
-        connections = {}
-        for topic in reader.topics.values():
-            assert topic.quality is not None
-            connections[topic.name] = writer.add_connection(
-                topic.name,
-                topic.type,
-                typestore=typestore(),
-                offered_qos_profiles=[topic.quality.offered()],
-            )
-        for message in reader.raw():
-            writer.write(connections[message.topic], message.log_time, message.data)
-    return target
-
-
 @pytest.mark.slow
 def test_every_storage_gives_the_same_messages(bag: Path, tmp_path: Path) -> None:
     """Storages are folders and files, MCAP and sqlite3, plain and compressed."""
-    plain = rewritten(bag, tmp_path / "plain")
+    small = rewritten(bag, tmp_path / "small", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
+    plain = rewritten(bag, tmp_path / "plain", StoragePlugin.SQLITE3)
     forms = {
         bag: "mcap",
         bag / "bag_0.mcap": "mcap",
         plain: "sqlite3",
         plain / "plain.db3": "sqlite3",
-        rewritten(bag, tmp_path / "small", zstd=True): "sqlite3",
+        small: "sqlite3",
     }
     for path, storage in forms.items():
         with BagReader(path) as reader:
@@ -141,69 +123,46 @@ def test_a_missing_path_is_a_usage_error(tmp_path: Path) -> None:
         BagReader(tmp_path / "absent")
 
 
-def break_name(path: Path) -> Path:
-    """A file that is no bag."""
-    (path / "notes.txt").write_text("x", "utf-8")
-    return path / "notes.txt"
-
-
-def break_folder(path: Path) -> Path:
-    """An empty folder."""
+def folder_without_files(path: Path) -> Path:
+    """An empty folder in place of a bag."""
     shutil.rmtree(path)
     path.mkdir()
     return path
 
 
-def break_yaml(path: Path) -> Path:
-    """Replace the metadata by a text that is no YAML."""
-    (path / "metadata.yaml").write_text("{[", "utf-8")
-    return path
+def changed(path: Path, name: str, data: bytes, damaged: str = "") -> Path:
+    """A bag with a file of these bytes; ``damaged`` is the bare file that is read."""
+    (path / name).write_bytes(data)
+    return path / damaged
 
 
-def break_file(path: Path) -> Path:
-    """Remove the storage of a bag, but not its metadata."""
-    (path / "bag_0.mcap").unlink()
-    return path
+DAMAGES: dict[str, Callable[[Path], Path]] = {
+    r"notes\.txt": lambda bag: changed(bag, "notes.txt", b"x", "notes.txt"),
+    r"bag: no metadata\.yaml; expected a bag": folder_without_files,
+    r"bag: cannot be read as a bag: Could not load YAML": lambda bag: changed(
+        bag, "metadata.yaml", b"{["
+    ),
+    r"bag: cannot be read as a bag: Some database files are missing: .*; move them": lambda bag: (
+        (bag / "bag_0.mcap").rename(bag / "other").parent
+    ),
+    r"bag: has no end and no whole chunk; `mcap recover .*bag_0\.mcap": lambda bag: changed(
+        bag, "bag_0.mcap", (bag / "bag_0.mcap").read_bytes()[:5000]
+    ),
+    r"bag\.db3: cannot be read as a bag: Cannot open database": lambda bag: changed(
+        bag, "bag.db3", b"SQLite format 4\0" * 100, "bag.db3"
+    ),
+    r"bag_0\.mcap: cannot be read as a bag: File .* seems to be empty": lambda bag: changed(
+        bag, "bag_0.mcap", b"", "bag_0.mcap"
+    ),
+}
+"""How to damage a bag, by what is said of it."""
 
 
-def break_end(path: Path) -> Path:
-    """A file that was cut short."""
-    data = (path / "bag_0.mcap").read_bytes()
-    (path / "bag_0.mcap").write_bytes(data[: len(data) // 2])
-    return path
-
-
-def break_sqlite(path: Path) -> Path:
-    """A file that is no database."""
-    (path / "bag.db3").write_bytes(b"SQLite format 4\0" * 100)
-    return path / "bag.db3"
-
-
-def break_empty(path: Path) -> Path:
-    """An empty file."""
-    (path / "bag_0.mcap").write_bytes(b"")
-    return path / "bag_0.mcap"
-
-
-@pytest.mark.parametrize(
-    ("damage", "expected"),
-    [
-        (break_name, r"notes\.txt"),
-        (break_folder, r"bag: no metadata\.yaml; expected a bag"),
-        (break_yaml, r"bag: cannot be read as a bag: Could not load YAML"),
-        (
-            break_file,
-            r"bag: cannot be read as a bag: Some database files are missing: .*; move them",
-        ),
-        (break_end, r"bag: has no end and no whole chunk; `mcap recover .*bag_0\.mcap"),
-        (break_sqlite, r"bag\.db3: cannot be read as a bag: Cannot open database"),
-        (break_empty, r"bag_0\.mcap: cannot be read as a bag: File .* seems to be empty"),
-    ],
-)
-def test_damaged_bag_is_one_line(bag: Path, damage: Callable[[Path], Path], expected: str) -> None:
+@pytest.mark.parametrize("expected", DAMAGES)
+def test_damaged_bag_is_one_line(bag: Path, expected: str) -> None:
     """The error names the bag, its fault and a remedy."""
     with pytest.raises(BagError, match=expected) as caught:
-        BagReader(damage(bag))
+        BagReader(DAMAGES[expected](bag))
     assert "\n" not in str(caught.value)
 
 
