@@ -29,12 +29,9 @@ FIRST_MESSAGE = "the first message of the sensors"
 
 
 class TimeZero(NamedTuple):
-    """The instant at which the time of a bag is zero.
+    """The instant at which the time of a bag is zero: its stamp, ns, and words such as ``EPOCH``.
 
-    Attributes:
-        stamp: of the instant, ns.
-        instant: in words, such as ``EPOCH``.
-        note: a line on what is taken for the epoch, where nothing says it; else empty.
+    The note is a line on what is taken for the epoch, where nothing says it; else empty.
     """
 
     stamp: int
@@ -70,11 +67,7 @@ def time_zero(reader: BagReader, epoch: int | None = None) -> TimeZero:
 
 
 def sensor_zero(reader: BagReader, topics: Collection[str], epoch: int = 0) -> TimeZero:
-    """The ``epoch`` (ns), else the first pulse of a drive, else the first message on ``topics``.
-
-    Raises:
-        BagError: the bag is damaged, or a topic is missing.
-    """
+    """The ``epoch`` (ns), else the first pulse of a drive, else the first of all messages."""
     with reader.whole_bag():
         if known := epoch or first_pulse(reader):
             return TimeZero(known)
@@ -107,13 +100,9 @@ def assumed_epoch(
 
 
 class BagPart(NamedTuple):
-    """The part of a bag, or of a signal, that a command reads.
+    """The part of a bag, or of a signal, that a command reads: first and last stamp, ns.
 
-    Attributes:
-        low: first stamp, ns.
-        high: last stamp, ns.
-        words: the part in words.
-        is_late: whether something was recorded before the part.
+    ``is_late`` says whether something was recorded before the part.
     """
 
     low: int

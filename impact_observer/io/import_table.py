@@ -36,17 +36,14 @@ _Stream = Iterator[tuple[int, str, AnyMessage]]
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """The result of an import.
+    """The result of an import: events and numbers of true states and of samples by topic.
 
     Attributes:
-        events: written, by stamp.
         rows: rows of impacts read.
-        states: true states written.
         start: stamp of the file's time zero, ns.
         times: words for the form of the file's times, such as ``times in ms``.
         ignored: names of the columns of impacts that were not read.
         remarks: what was left out or is doubtful, a line each.
-        samples: how many rows of samples are on each topic.
     """
 
     events: list[ImpactEvent]

@@ -22,13 +22,7 @@ _FOREVER = QosTime(9_223_372_036, 854_775_807)
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """The policies of quality of service that differ among our topics.
-
-    Attributes:
-        reliable: whether a lost message is sent again.
-        transient_local: whether a late subscriber receives the last ``depth`` messages.
-        depth: messages kept for a slow or late subscriber; 0 for all.
-    """
+    """The policies of quality of service that differ among our topics; a depth of 0 keeps all."""
 
     reliable: bool = True
     transient_local: bool = False
@@ -107,13 +101,7 @@ DIAGNOSTIC = "diagnostic_msgs/msg/DiagnosticStatus"
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """A topic of the package.
-
-    Attributes:
-        name: name of the topic, relative to the namespace; absolute where ROS fixes it.
-        type: name of its message type.
-        quality: quality of service that is offered.
-    """
+    """A topic of the package, relative to the namespace, or absolute where ROS fixes it."""
 
     name: str
     type: str

@@ -97,13 +97,9 @@ def joint_topics(reader: BagReader, declared: Sequence[Measurement]) -> list[str
 
 
 class RecordedSamples(NamedTuple):
-    """The samples of sensors in a bag.
+    """The samples of sensors in a bag by stamp, a line for each problem, and their topics.
 
-    Attributes:
-        samples: by stamp.
-        problems: a line for each problem.
-        topics: those of the sensors.
-        published: names of the sensors on whose samples verdicts are published.
+    Verdicts are published on the samples of the sensors with the names ``published``.
     """
 
     samples: Sequence[SensorSample] = ()

@@ -50,13 +50,9 @@ class MessageError(ImpactObserverError, ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointState:
-    """A state at a stamp; mirrors ``sensor_msgs/JointState``.
+    """The state of coordinates at a ``stamp`` (ns); mirrors ``sensor_msgs/JointState``.
 
-    Attributes:
-        stamp: when the state holds, ns.
-        names: the coordinates' names, n of them.
-        q: coordinates, shape (n,), m or rad.
-        u: velocities, shape (n,), m/s or rad/s.
+    Coordinates ``q`` (m or rad) and velocities ``u`` have the shape (n,).
     """
 
     stamp: int
@@ -78,15 +74,9 @@ class JointState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimateError:
-    """The error of an estimate; mirrors ``impact_observer_msgs/EstimateError``.
+    """Estimate minus truth at a ``stamp`` (ns); mirrors ``impact_observer_msgs/EstimateError``.
 
-    Attributes:
-        stamp: when both states hold, ns.
-        law: name of the observer's law.
-        v: Lyapunov distance V, J.
-        names: of the n coordinates.
-        position_error: estimate minus truth, shape (n,), m or rad.
-        velocity_error: estimate minus truth, shape (n,), m/s or rad/s.
+    ``v`` is the Lyapunov distance, J; the errors have the shape (n,), SI units.
     """
 
     stamp: int
@@ -98,13 +88,7 @@ class EstimateError:
 
 
 class LiveSample(NamedTuple):
-    """A sample of a force.
-
-    Attributes:
-        name: of the input or joint.
-        stamp: time of validity, ns.
-        value: N, or N m of a joint that turns.
-    """
+    """The force of an input or joint at a stamp (ns), N, or N m of a joint that turns."""
 
     name: str
     stamp: int
@@ -146,12 +130,7 @@ class Messages:
     def __init__(
         self, classes: Callable[[str], AnyMessage], floats: Callable[[Vector], object]
     ) -> None:
-        """Use these message classes.
-
-        Args:
-            classes: finds a message class by its type name, such as ``std_msgs/msg/String``.
-            floats: converts an array of shape (k,) to the value of a ``float64[]`` field.
-        """
+        """``classes`` finds a class by the name of its type; ``floats`` makes a ``float64[]``."""
         self._classes = classes
         self._floats = floats
 
@@ -300,7 +279,7 @@ def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
     """The estimate of an impact in a message.
 
     Raises:
-        MessageError: its stamp is not after 0, the ruling is unknown, or a number is not finite.
+        MessageError: as of :func:`read_verdict`.
     """
     return _read(ImpactEstimate, message)
 
@@ -347,11 +326,7 @@ def read_efforts(message: AnyMessage) -> list[LiveSample]:
 
 
 def read_pulse(message: AnyMessage) -> int:
-    """The stamp of a ``std_msgs/Header``, at which the phase of the drive is zero, ns.
-
-    Raises:
-        MessageError: it is not after 0.
-    """
+    """The stamp of an index pulse, a ``std_msgs/Header``, ns; MessageError where it is 0."""
     return read_stamp("Header.stamp", message.stamp)
 
 

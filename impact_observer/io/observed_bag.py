@@ -218,11 +218,7 @@ def unseen_events(events: Sequence[ImpactEvent], stamps: Stamps) -> str:
 
 
 def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
-    """Give an observer all live samples of a bag; a line for each reason why some are left out.
-
-    Raises:
-        BagError: the bag is damaged.
-    """
+    """Give an observer all live samples of a bag; a line for each reason why some are left out."""
     forces = None if observer.robot is None else observer.robot.description.forces
     if forces is None:
         return give_recorded(reader, observer.live)
@@ -230,11 +226,7 @@ def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
 
 
 def check_count(reader: BagReader, stamps: Stamps) -> None:
-    """Refuse more estimates than ``_MOST_ESTIMATES``.
-
-    Raises:
-        UsageError: naming the limit, and until when estimates would be made.
-    """
+    """Refuse more estimates than ``_MOST_ESTIMATES``, as UsageError."""
     if stamps.size > _MOST_ESTIMATES:
         raise UsageError(
             f"{reader.path}: {stamps.size} estimates; expected at most {_MOST_ESTIMATES}; they"

@@ -62,14 +62,10 @@ _Value = TypeVar("_Value")
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """A topic of a bag.
+    """A topic of a bag, by its absolute name.
 
-    Attributes:
-        name: the absolute name.
-        type: the message type; several joined by `` and `` when publishers disagreed.
-        count: messages.
-        quality: the quality of service that was offered; None when the bag does not have it.
-        definition: the text of the message type; empty when the bag does not have it.
+    The types of publishers that disagreed are joined by `` and ``. Quality of service and the
+    definition of the type may not be in the bag.
     """
 
     name: str
@@ -97,13 +93,7 @@ class TopicInfo:
 
 
 class RawMessage(NamedTuple):
-    """A serialized message of a bag.
-
-    Attributes:
-        topic: the absolute name.
-        log_time: time of recording, ns.
-        data: the serialized message (CDR).
-    """
+    """A serialized message (CDR) of a bag; its log time is in ns."""
 
     topic: str
     log_time: int
@@ -202,10 +192,7 @@ class BagReader:
         return sum(file.stat().st_size for file in files)
 
     def find(self, wanted: Interface) -> str | None:
-        """The topic of an interface: its absolute name, else the only one in a namespace.
-
-        Returns:
-            The absolute name; None when the bag has no such topic.
+        """The topic of an interface: its absolute name, else the only one in a namespace, or None.
 
         Raises:
             BagError: several topics fit, none of them at the top.
@@ -235,14 +222,7 @@ class BagReader:
         return tuple(t for t in sorted(self.topics) if any(each.fits(t) for each in wanted))
 
     def state_topics(self) -> dict[str, str]:
-        """The topics of states: the truth, whose prefix is empty, then one of each observer.
-
-        Returns:
-            The prefixes by topic.
-
-        Raises:
-            BagError: the bag has several plants.
-        """
+        """Prefixes by topic of states: of the truth, which is empty, then of each observer."""
         truth = self.truth_topic()
         known = {} if truth is None else {truth: ""}
         return known | {self.states_of(prefix): prefix for prefix in self.observers()}
@@ -496,7 +476,7 @@ class BagReader:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Report an error of ``rosbags`` for a damaged bag as one line."""
+        """Within the block, an error of ``rosbags`` for a damaged bag is one line."""
         reindex = f"`{reindex_command(self.path)}` writes it anew"
         try:
             yield

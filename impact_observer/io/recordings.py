@@ -55,11 +55,7 @@ def published_model(
 
 @contextmanager
 def all_or_nothing(path: Path) -> Iterator[BagWriter]:
-    """A writer whose bag is written beside ``path``, and appears there after no exception.
-
-    Raises:
-        UsageError, BagError: as of :class:`BagWriter`.
-    """
+    """A :class:`BagWriter` whose bag is beside ``path``, and appears there after no exception."""
     check_free(path)
     with temporary_beside(path) as folder:
         with BagWriter(path, folder) as writer:
@@ -226,11 +222,7 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
 
 
 def impact_topics(reader: BagReader) -> tuple[str, ...]:
-    """The topics of estimates of impacts in a bag, sorted.
-
-    Raises:
-        BagError: the bag has none.
-    """
+    """The topics of estimates of impacts in a bag, sorted; BagError without any."""
     if not (topics := reader.impact_topics()):
         raise UnfitBagError(
             f"{reader.path}: has no estimates of impacts ({interfaces.OBSERVER_IMPACTS.topic});"

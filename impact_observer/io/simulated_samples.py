@@ -40,13 +40,7 @@ _STREAM = 1923
 
 
 class SimulatedMessage(NamedTuple):
-    """A message of a sensor.
-
-    Attributes:
-        arrival: when it is received, ns.
-        topic: the absolute name.
-        message: of the type of the topic.
-    """
+    """A message of a sensor on an absolute topic, received at ``arrival``, ns."""
 
     arrival: int
     topic: str
@@ -57,8 +51,7 @@ def type_of(measurement: Measurement) -> str:
     """The type of the messages that a simulated sensor publishes.
 
     Raises:
-        UsageError: by file and key: no type that can be simulated has a number in such a field, or
-            it has no header though that is wanted.
+        UsageError: by file and key: no type that is known has such a field, or a header.
     """
     if measurement.joint:
         return JOINT_STATE
@@ -77,8 +70,7 @@ def type_of(measurement: Measurement) -> str:
 class SampleSimulation:
     """The sensors of a plant; their random numbers follow from the seed and the instants.
 
-    Attributes:
-        types: of the messages, by absolute topic.
+    ``types`` are those of the messages by absolute topic.
     """
 
     def __init__(
