@@ -8,7 +8,7 @@ from pathlib import Path
 
 from impact_observer import __version__
 from impact_observer.detector import Detection, Detector, SensorCounts, Source
-from impact_observer.detector.sensors import MAX_DELAY, DeadTimes, SignalTrace
+from impact_observer.detector.sensors import MAX_DELAY, SignalTrace
 from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import BagPart, TimeZero, read_part, sensor_zero
@@ -35,8 +35,6 @@ class BagDetection:
         doubts: what was left out, and an epoch that lacks, a line each.
         rows: number of rows of a signal; 0 of a bag.
         seconds: from the first row to the last one, s.
-        dead_times: what lay in those of each source.
-        rises: mean times from where peaks of each source reached the threshold to their stamps, s.
         traces: signals of the sources, if they were to be kept.
         zero: the time zero of the traces, as of a part; None without them.
         part: the part that was read; None for all.
@@ -49,8 +47,6 @@ class BagDetection:
     doubts: list[str] = field(default_factory=list)
     rows: int = 0
     seconds: float = 0.0
-    dead_times: list[DeadTimes] = field(default_factory=list)
-    rises: list[float] = field(default_factory=list)
     traces: list[SignalTrace] = field(default_factory=list)
     zero: TimeZero | None = None
     part: BagPart | None = None
@@ -73,8 +69,6 @@ class BagDetection:
             self.doubts += detector.left_out(k)
             if why := detector.no_impact(k):
                 self.problems.append(f"{source.contact}: {why}")
-        self.dead_times = detector.dead_times
-        self.rises = [detector.rise(k) for k in range(len(self.sources))]
         self.traces = detector.traces
         if not any(counts.impacts for counts in self.counts):
             why = "; ".join(self.problems + self.doubts)

@@ -3,17 +3,16 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from impact_observer.detector.peak import PeakSensor
 from impact_observer.detector.sensors import (
     ArrivalSensor,
-    DeadTimes,
     DetectedSwitch,
     Sample,
     SampleTime,
     Sensor,
+    SensorCounts,
     SignalTrace,
 )
 from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH, Source
@@ -21,7 +20,7 @@ from impact_observer.detector.switch import SwitchSensor
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.message_fields import FieldPath, header_stamp, numbers_at
-from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between
+from impact_observer.stamps import MAX_STAMP, from_seconds
 
 _SENSORS: dict[str, type[Sensor]] = {
     SWITCH: SwitchSensor,
@@ -42,32 +41,6 @@ class Detection(NamedTuple):
     event: ImpactEvent
 
 
-@dataclass(slots=True)
-class SensorCounts:
-    """Counts of the messages of one source, and of the events detected in them.
-
-    Attributes:
-        messages: received.
-        impacts: how often the contact closed.
-        closings: how often persistent contact began.
-        openings: how often persistent contact ended.
-        invalid: messages with a number that is not finite, without the field or the stamp, or
-            with a stamp that no event may have.
-        out_of_order: messages with a stamp before that of an earlier one.
-        last_event: stamp of the last event, ns; 0 before the first.
-        largest_signal: of a peak source, in the field's own unit.
-    """
-
-    messages: int = 0
-    impacts: int = 0
-    closings: int = 0
-    openings: int = 0
-    invalid: int = 0
-    out_of_order: int = 0
-    last_event: int = 0
-    largest_signal: float = 0.0
-
-
 class Detector:
     """Turns messages into events, in the order in which the messages are received.
 
@@ -78,6 +51,7 @@ class Detector:
     Attributes:
         sources: the sensors.
         counts: one for each source.
+        traces: one for each source, if the signals are kept.
         episode: the number of restarts.
         epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
         first_event: stamp of the first event, ns; 0 before it.
@@ -102,14 +76,12 @@ class Detector:
         self._is_traced = traced
         self.sources: list[Source] = []
         self.counts: list[SensorCounts] = []
-        self.episode = 0
-        self.epoch = epoch
-        self.first_event = 0
+        self.traces: list[SignalTrace] = []
+        self.episode, self.epoch, self.first_event = 0, epoch, 0
         self._sensors: list[Sensor] = []
         self._paths: list[FieldPath] = []
         self._newest: list[int] = []
-        self._sequence = int(joins_late)
-        self._now = 0
+        self._sequence, self._now = int(joins_late), 0
         for source in sources:
             self.add_source(source)
 
@@ -117,7 +89,9 @@ class Detector:
         """Take a complete source; returns the index that :meth:`feed` needs."""
         self.sources.append(source)
         self.counts.append(SensorCounts())
-        self._sensors.append(self._sensor(source))
+        if self._is_traced:
+            self.traces.append(SignalTrace())
+        self._sensors.append(self._sensor(len(self.counts) - 1))
         self._paths.append(source.path() if source.field else ())
         self._newest.append(0)
         return len(self.sources) - 1
@@ -125,24 +99,20 @@ class Detector:
     def change_source(self, index: int, source: Source) -> None:
         """Go on with another complete source of the same contact, such as of another type."""
         if source != self.sources[index]:
-            self.sources[index], self._sensors[index] = source, self._sensor(source)
+            self.sources[index] = source
+            self._sensors[index] = self._sensor(index)
             self._paths[index] = source.path() if source.field else ()
 
-    def _sensor(self, source: Source) -> Sensor:
-        sensor = _SENSORS[source.kind or ""](source)
-        sensor.trace = SignalTrace() if self._is_traced else None
-        return sensor
+    def _sensor(self, index: int) -> Sensor:
+        source, trace = self.sources[index], self.traces[index] if self._is_traced else None
+        return _SENSORS[source.kind or ""](source, self.counts[index], trace)
 
     def restart(self) -> None:
         """Begin a new episode, for example after the clock has jumped back."""
         self.episode += 1
-        before = self._sensors
-        self._sensors = [self._sensor(source) for source in self.sources]
-        for old, new in zip(before, self._sensors, strict=True):
-            new.dead_times, new.trace = old.dead_times, old.trace
+        self._sensors = [*map(self._sensor, range(len(self.sources)))]
         self._newest = [0] * len(self.sources)
-        self._sequence = 0
-        self._now = 0
+        self._sequence = self._now = 0
 
     def feed(self, index: int, message: object, received: int) -> list[Detection]:
         """Returns the events that a message of source ``index`` decides; ``received`` is in ns.
@@ -167,9 +137,8 @@ class Detector:
             counts.out_of_order += 1
         else:
             self._newest[index] = sample.time.stamp
-            sensor = self._sensors[index]
-            detections += self._events((switch, index) for switch in sensor.feed(sample))
-            counts.largest_signal = max(counts.largest_signal, sensor.largest_signal)
+            switches = self._sensors[index].feed(sample)
+            detections += self._events((switch, index) for switch in switches)
         return detections
 
     def advance(self, now: int) -> list[Detection]:
@@ -182,21 +151,6 @@ class Detector:
         detections = self._events(sorted(switches, key=lambda pair: pair[0].decided))
         self._now = max(self._now, now)
         return detections
-
-    @property
-    def traces(self) -> list[SignalTrace]:
-        """The signals of the sources, if they are kept."""
-        return [sensor.trace for sensor in self._sensors if sensor.trace is not None]
-
-    @property
-    def dead_times(self) -> list[DeadTimes]:
-        """What lay in the dead times of each source."""
-        return [sensor.dead_times for sensor in self._sensors]
-
-    def rise(self, index: int) -> float:
-        """The mean time from where peaks of a source reached the threshold to their stamps, s."""
-        rises = self._sensors[index].dead_times.rises
-        return seconds_between(0, rises) / max(self.counts[index].impacts, 1)
 
     def left_out(self, index: int) -> list[str]:
         """How many messages of a source were left out, of how many, and why, a line each."""

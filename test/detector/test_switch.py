@@ -84,7 +84,7 @@ def test_releases_no_longer_than_the_dead_time_are_counted() -> None:
         detector.advance(stamp)
         detector.feed(0, Scalar(value), stamp)
     detector.advance(at(5000))
-    assert detector.dead_times[0].short_releases == 1
+    assert detector.counts[0].short_releases == 1
     assert detector.counts[0].impacts == 3
 
 
