@@ -6,10 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from foreign_bags import rewritten
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
 from systems import examples
 
 from impact_observer.errors import BagError, UsageError
@@ -64,21 +63,11 @@ def bag(first_bag: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(first_bag, tmp_path / "bag"))
 
 
-@pytest.mark.slow
-def test_every_storage_gives_the_same_messages(bag: Path, tmp_path: Path) -> None:
-    """Storages are folders and files, MCAP and sqlite3, plain and compressed."""
-    small = rewritten(bag, tmp_path / "small", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
-    plain = rewritten(bag, tmp_path / "plain", StoragePlugin.SQLITE3)
-    forms = {
-        bag: "mcap",
-        bag / "bag_0.mcap": "mcap",
-        plain: "sqlite3",
-        plain / "plain.db3": "sqlite3",
-        small: "sqlite3",
-    }
-    for path, storage in forms.items():
+def test_a_bag_is_read_as_it_was_written(bag: Path) -> None:
+    """From its folder and from its bare file."""
+    for path in (bag, bag / "bag_0.mcap"):
         with BagReader(path) as reader:
-            assert reader.storage == storage
+            assert reader.storage == "mcap"
             assert (reader.start, reader.end, reader.message_count) == (5, 30, 44)
             assert reader.topics["/impacts"].count == 10
             assert reader.topics["/impacts"].quality == interfaces.EVENTS
@@ -86,7 +75,6 @@ def test_every_storage_gives_the_same_messages(bag: Path, tmp_path: Path) -> Non
             assert list(reader.events()) == EVENTS
             assert list(reader.verdicts("/observer_geometric/verdicts")) == [VERDICT]
             assert reader.model_text() == "name: last"
-            assert len(reader.joint_states("/plant/joint_states").stamps) == 20
 
 
 def test_observers_and_truth_are_found(bag: Path) -> None:
