@@ -51,11 +51,8 @@ def compare_bag(
 ) -> BagComparison:
     """Compare the observers in a bag, and others that are run on its events, with the truth.
 
-    Args:
-        reader: the bag.
-        system: gives V.
-        observers: to run on the bag, one a law; they have received nothing yet.
-        progress: receives the name of the work, the amount done, and the whole amount.
+    The ``observers``, one a law, have received nothing yet. ``progress`` receives the name of the
+    work, the amount done, and the whole amount.
 
     Raises:
         BagError: the bag has no truth, no estimate, or no stamp that both have, or an observer
@@ -128,17 +125,9 @@ def states_of_topics(
     topics: Sequence[str],
     progress: Callable[[int, int], None],
 ) -> tuple[dict[str, str], dict[str, Samples]]:
-    """Read all states on some topics.
+    """The laws that topics of states name, and their states in the order of the bag, by topic.
 
-    Args:
-        reader: the bag.
-        system: gives the order of the coordinates; those that rest on encoders have deviations.
-        topics: topics of states.
-        progress: receives the number of messages read, and of all.
-
-    Returns:
-        The law of each topic whose messages name one, and the states of each topic in the order
-        of the bag.
+    ``system`` gives the order of the coordinates; those that rest on encoders have deviations.
 
     Raises:
         BagError: the bag is damaged, or a topic has other coordinates.

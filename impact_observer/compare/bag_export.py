@@ -20,7 +20,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.bag_part import TimeZero, time_zero
 from impact_observer.io.interfaces import absolute
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import events_in, impact_topics, outcomes_in
+from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.model.multibody import Multibody
 
 DEVIATIONS = ("deviation_q", "deviation_u")
@@ -195,7 +195,7 @@ def named_impacts(reader: BagReader, named: Collection[str] | None) -> list[str]
         UsageError: the bag has no such topic or observer.
         BagError: the bag has no estimates of impacts.
     """
-    of_owner = {topic.rpartition("/")[0]: topic for topic in impact_topics(reader)}
+    of_owner = {topic.rpartition("/")[0]: topic for topic in reader.impact_topics()}
     if named is None:
         return [*of_owner.values()]
     topics = (of_owner.get(absolute(name)) or _in_bag(reader, name) for name in named)

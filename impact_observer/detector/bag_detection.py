@@ -154,10 +154,7 @@ def present(
 ) -> tuple[list[Source], list[str]]:
     """Returns the complete sources whose topic is present, and a line for each other source.
 
-    Args:
-        path: of a bag or a signal.
-        types: of the messages, by topic.
-        sources: as declared.
+    The ``types`` are those of the messages by topic, in the bag or signal at ``path``.
 
     Raises:
         UsageError: a source does not fit its topic.
@@ -218,6 +215,12 @@ def write_model(writer: BagWriter, model: Model, stamp: int) -> None:
     writer.write(interfaces.PLANT_MODEL.topic, stamp, bag_messages().model(text))
 
 
+def write_events(writer: BagWriter, detections: Sequence[Detection]) -> None:
+    """Write the events that a detector has decided."""
+    for decided, event in detections:
+        writer.write(interfaces.IMPACTS.topic, decided, bag_messages().event(event))
+
+
 def _declared(
     reader: BagReader, writer: BagWriter, model: Model | None, problems: list[str]
 ) -> set[str]:
@@ -244,19 +247,13 @@ def _run(
     progress: Callable[[int, int], None],
 ) -> None:
     """Feed the detector with every message of the bag, and write the new bag."""
-    make = bag_messages()
     topics = {source.topic for source in detector.sources}
     decoders = {topic: reader.decoder(topic) for topic in topics}
     indices = {
         topic: [k for k, s in enumerate(detector.sources) if s.topic == topic] for topic in topics
     }
-
-    def write(detections: list[Detection]) -> None:
-        for decided, event in detections:
-            writer.write(interfaces.IMPACTS.topic, decided, make.event(event))
-
     for done, raw in enumerate(reader.raw()):
-        write(detector.advance(raw.log_time))
+        write_events(writer, detector.advance(raw.log_time))
         if raw.topic in copied:
             writer.write_raw(*raw)
         if raw.topic == pulses:
@@ -264,7 +261,7 @@ def _run(
         if raw.topic in topics:
             message = decoders[raw.topic](raw.data)
             for index in indices[raw.topic]:
-                write(detector.feed(index, message, raw.log_time))
+                write_events(writer, detector.feed(index, message, raw.log_time))
         progress(done, reader.message_count)
     # No message can be missing any more after the longest delay.
-    write(detector.advance(reader.end + MAX_DELAY))
+    write_events(writer, detector.advance(reader.end + MAX_DELAY))

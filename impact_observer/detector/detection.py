@@ -30,12 +30,7 @@ _SENSORS: dict[str, type[Sensor]] = {
 
 
 class Detection(NamedTuple):
-    """An event, and the time at which the event was certain.
-
-    Attributes:
-        decided: on the clock of reception, ns; detections come in this order.
-        event: the event.
-    """
+    """An event, and when it was certain, ns on the clock of reception; these times ascend."""
 
     decided: int
     event: ImpactEvent
@@ -67,11 +62,7 @@ class Detector:
     ) -> None:
         """The first event has sequence number 1, or 2 where the detector joins late.
 
-        Args:
-            sources: as for :meth:`add_source`.
-            epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
-            traced: whether to keep the signals, for a picture.
-            joins_late: whether there may have been impacts before the first message.
+        ``traced`` says whether to keep the signals, for a picture.
         """
         self._is_traced = traced
         self.sources: list[Source] = []
@@ -121,22 +112,28 @@ class Detector:
             UsageError: a message has no such field, or has no stamp in a header although the
                 source declares ``stamp: header``, and no message before could be used.
         """
-        counts = self.counts[index]
-        counts.messages += 1
         try:
             sample = self._sample(index, message, received)
         except UsageError:
+            counts = self.counts[index]
+            counts.messages += 1
             counts.invalid += 1
             if counts.invalid >= counts.messages:
                 raise
             return self.advance(received)
+        return self.take(index, sample)
+
+    def take(self, index: int, sample: Sample) -> list[Detection]:
+        """Returns the events that a sample of a source decides."""
+        counts, (received, stamp) = self.counts[index], sample.time
+        counts.messages += 1
         detections = self.advance(received)
-        if not all(map(math.isfinite, sample.values)) or sample.time.stamp > MAX_STAMP:
+        if not all(map(math.isfinite, sample.values)) or stamp > MAX_STAMP:
             counts.invalid += 1
-        elif sample.time.stamp < self._newest[index]:
+        elif stamp < self._newest[index]:
             counts.out_of_order += 1
         else:
-            self._newest[index] = sample.time.stamp
+            self._newest[index] = stamp
             switches = self._sensors[index].feed(sample)
             detections += self._events((switch, index) for switch in switches)
         return detections

@@ -29,14 +29,10 @@ _RECENT = 4
 
 @dataclass(slots=True)
 class _Top:
-    """The top of a signal, as its samples come.
+    """The top of a signal, as its samples come: the first sample with the largest value.
 
-    Attributes:
-        top: the first sample with the largest value.
-        last: stamp of the last sample in a row with the largest value, as at the limit of the
-            sensor's range.
-        left: the sample before the top; None if there was none.
-        right: the sample after the top; None before it is received.
+    The samples beside the top are ``left`` and ``right``; None where there is none, or none yet.
+    ``last`` is the stamp of the last equal sample in a row, as at the limit of a range.
     """
 
     top: Point
@@ -64,13 +60,9 @@ class _Top:
 
 @dataclass(slots=True)
 class _Peak:
-    """The signal since it exceeded the threshold.
+    """The signal since it exceeded the threshold: the top of the whole peak, and the first top.
 
-    Attributes:
-        begin: the time at which the signal exceeded the threshold.
-        sign: of the field there; 1 for a vector.
-        whole: the top of the whole peak.
-        first: the first top after the begin, of the field times the sign.
+    The first top is that of the field times its ``sign`` at the begin; of a vector the sign is 1.
     """
 
     begin: SampleTime

@@ -215,8 +215,18 @@ class BagReader:
         return tuple(sorted({topic.rpartition("/")[0] for topic in self._fitting(*own)}))
 
     def impact_topics(self) -> tuple[str, ...]:
-        """Topics of estimates of impacts, of observers and of a smoother, sorted."""
-        return self._fitting(interfaces.OBSERVER_IMPACTS, interfaces.SMOOTHED_ESTIMATES)
+        """Topics of estimates of impacts, of observers and of a smoother, sorted.
+
+        Raises:
+            BagError: there are none.
+        """
+        own = interfaces.OBSERVER_IMPACTS, interfaces.SMOOTHED_ESTIMATES
+        if not (topics := self._fitting(*own)):
+            raise UnfitBagError(
+                f"{self.path}: has no estimates of impacts ({own[0].topic}); run observe or smooth"
+                " on it, and take the bag that it makes"
+            )
+        return topics
 
     def _fitting(self, *wanted: Interface) -> tuple[str, ...]:
         return tuple(t for t in sorted(self.topics) if any(each.fits(t) for each in wanted))
@@ -337,21 +347,13 @@ class BagReader:
                 return state
         return None
 
-    def joint_states(self, topic: str, names: Sequence[str] | None = None) -> RecordedStates:
-        """All states of a topic of joint states; ``names`` and errors as of :meth:`states`."""
-        return self._states(topic, interfaces.JOINT_STATE, names)
-
-    def observer_states(self, topic: str, names: Sequence[str] | None = None) -> RecordedStates:
-        """All estimates on a topic such as ``/observer/state``; as above."""
-        return self._states(topic, interfaces.OBSERVER_STATE, names)
-
     def states(
         self,
         topics: Iterable[str],
         names: Sequence[str] | None = None,
         progress: Callable[[int, int], object] = lambda _done, _all: None,
     ) -> dict[str, RecordedStates]:
-        """The states on some topics, of joint states or of estimates.
+        """The states on some topics, of joint states or of estimates, by topic.
 
         Args:
             topics: absolute names.
@@ -361,36 +363,28 @@ class BagReader:
         Raises:
             BagError: a name is missing, unexpected or twice, or a law changes.
         """
-        chosen = [*dict.fromkeys(topics)]
-        total, found = sum(self._topic(topic).count for topic in chosen), {}
-        done = 0
+        chosen, found, done = [*dict.fromkeys(topics)], dict[str, RecordedStates](), 0
+        total = sum(self._topic(topic).count for topic in chosen)
 
-        def step() -> None:
+        def counted(states: Iterable[_Value]) -> Iterator[_Value]:
             nonlocal done
-            done += 1
-            progress(done, total)
+            for state in states:
+                done += 1
+                progress(done, total)
+                yield state
 
         for topic in chosen:
-            found[topic] = self._states(topic, self._state_type(topic), names, step)
+            type_name = self._state_type(topic)
+            read = read_estimate if type_name == interfaces.OBSERVER_STATE else _as_estimate
+            states = counted(self._values(topic, type_name, read))
+            found[topic] = state_arrays(states, names, f"{self.path}: {topic}")
         return found
 
-    def _states(
-        self,
-        topic: str,
-        type_name: str,
-        names: Sequence[str] | None,
-        step: Callable[[], object] = lambda: None,
-    ) -> RecordedStates:
-        """The states on a topic of this type."""
+    def joint_states(self, topic: str, names: Sequence[str] | None = None) -> RecordedStates:
+        """All states on one topic; arguments and errors as of :meth:`states`."""
+        return self.states([topic], names)[topic]
 
-        def read(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
-            step()
-            if type_name == interfaces.OBSERVER_STATE:
-                return read_estimate(message)
-            state = read_joint_state(message)
-            return state.names, Estimate(state.stamp, "", state.q, state.u, last_event=state.stamp)
-
-        return state_arrays(self._values(topic, type_name, read), names, f"{self.path}: {topic}")
+    observer_states = joint_states  # estimates are states, too
 
     def _state_type(self, topic: str) -> str:
         """The type that a topic of states must have: estimates if it has them."""
@@ -492,6 +486,12 @@ class BagReader:
             elif "Profile is not ros2" in reason:
                 remedy = f"{FROM_ROS_1}; other messages: a table, for `import` or `detect`"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
+
+
+def _as_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
+    """A joint state as an estimate that knows all before it."""
+    state = read_joint_state(message)
+    return state.names, Estimate(state.stamp, "", state.q, state.u, last_event=state.stamp)
 
 
 def _stamp_in(raw: RawMessage) -> int:

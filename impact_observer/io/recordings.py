@@ -221,16 +221,6 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
     return replace(outcomes, measured=(used[True], used[False]))
 
 
-def impact_topics(reader: BagReader) -> tuple[str, ...]:
-    """The topics of estimates of impacts in a bag, sorted; BagError without any."""
-    if not (topics := reader.impact_topics()):
-        raise UnfitBagError(
-            f"{reader.path}: has no estimates of impacts ({interfaces.OBSERVER_IMPACTS.topic});"
-            " run observe or smooth on it, and take the bag that it makes"
-        )
-    return topics
-
-
 def impact_estimates(reader: BagReader) -> dict[str, list[ImpactEstimate]]:
     """The estimates of impacts in a bag, by topic, in order of stamps.
 
@@ -239,7 +229,7 @@ def impact_estimates(reader: BagReader) -> dict[str, list[ImpactEstimate]]:
     Raises:
         BagError: the bag has no such topic, or a message is not valid.
     """
-    return {topic: [*reader.impact_estimates(topic)] for topic in impact_topics(reader)}
+    return {topic: [*reader.impact_estimates(topic)] for topic in reader.impact_topics()}
 
 
 def epoch_of(events: Iterable[ImpactEvent]) -> int:
