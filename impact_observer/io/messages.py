@@ -133,6 +133,8 @@ class Messages:
         """``classes`` finds a class by the name of its type; ``floats`` makes a ``float64[]``."""
         self._classes = classes
         self._floats = floats
+        for kind in _TYPES:  # takes a fifth of a second, which the first event must not
+            _mirrored(kind)
 
     def time(self, stamp: int, field: str = "Time") -> AnyMessage:
         """``stamp`` (ns, or 0 for "unknown") as ``builtin_interfaces/Time``."""
