@@ -194,14 +194,13 @@ def sample_stamps(
     if rate is None:
         if truth is None or not reader.topics[truth].count:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
-        return _stamps_of(reader, truth)
-    used = used_of(events)
-    if not used:
+        return np.unique(reader.stamps(truth))
+    if not (used := used_of(events)):
         return np.empty(0, dtype=np.int64)
     start = max(epoch or used[0].epoch or used[0].stamp, reader.low)
     last = max(each.stamp for each in used)
     if truth:
-        last = max(last, int(_stamps_of(reader, truth).max()))
+        last = max(last, int(reader.stamps(truth).max(initial=0)))
     return grid(start, last, rate)
 
 
@@ -233,11 +232,6 @@ def check_count(reader: BagReader, stamps: Stamps) -> None:
             f" would go on until {text(int(stamps[-1]))} s; lower --rate, or take parts by --start"
             " and --duration"
         )
-
-
-def _stamps_of(reader: BagReader, topic: str) -> Stamps:
-    """All stamps of a topic of states, ns, ascending, each once."""
-    return np.unique(reader.stamps(topic))
 
 
 def in_log_order(
