@@ -222,9 +222,9 @@ class Messages:
 
     def _message(self, type_name: str, **values: Any) -> AnyMessage:  # noqa: ANN401 (by the type)
         """A message of ``values`` by field: stamps in ns, arrays; arrays left out are empty."""
-        kind, made = type_name.rpartition("/")[2], dict[str, object]()
-        for name, of_type in _types_of(type_name).items():
-            field, value = f"{kind}.{name}", values.get(name, ())
+        made = dict[str, object]()
+        for name, (field, of_type) in _fields(type_name).items():
+            value = values.get(name, ())
             if of_type == interfaces.HEADER:
                 value = self._header(f"{field}.stamp", value)
             elif of_type == interfaces.TIME:
@@ -352,11 +352,9 @@ def _read(kind: type[_Value], message: AnyMessage) -> _Value:
 
 def _values(kind: type, message: AnyMessage) -> dict[str, Any]:
     """The fields of a value that are in its message."""
-    type_name = _TYPES[kind]
-    types, values = _types_of(type_name), dict[str, Any]()
+    known, values = _fields(_TYPES[kind]), dict[str, Any]()
     for key, name in _mirrored(kind).items():
-        field, of_type = f"{type_name.rpartition('/')[2]}.{name}", types[name]
-        value = getattr(message, name)
+        (field, of_type), value = known[name], getattr(message, name)
         if of_type == interfaces.HEADER:
             value = read_stamp(f"{field}.stamp", value.stamp)
         elif of_type == interfaces.TIME:
@@ -379,14 +377,14 @@ def _mirrored(kind: type) -> dict[str, str]:
     """Names of the fields of a value that are in its message, and their names there."""
     own: Sequence[str] = getattr(kind, "_fields", ()) or [each.name for each in fields(kind)]
     named = {name: _FIELDS.get(name, name) for name in own}
-    return {name: field for name, field in named.items() if field in _types_of(_TYPES[kind])}
+    return {name: field for name, field in named.items() if field in _fields(_TYPES[kind])}
 
 
 @cache
-def _types_of(type_name: str) -> dict[str, str]:
-    """The types of the fields of a message type by name, such as ``float64[]``."""
-    _, descriptions = typestore().fielddefs[type_name]
-    return {name: _name_of_type(description) for name, description in descriptions}
+def _fields(type_name: str) -> dict[str, tuple[str, str]]:
+    """Names of the fields of a message type, their names in errors, and types (``float64[]``)."""
+    kind, (_, descriptions) = type_name.rpartition("/")[2], typestore().fielddefs[type_name]
+    return {name: (f"{kind}.{name}", _name_of_type(each)) for name, each in descriptions}
 
 
 def _name_of_type(description: Any) -> str:  # noqa: ANN401 (as rosbags describes it)

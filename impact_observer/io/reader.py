@@ -58,6 +58,8 @@ from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate, Stamps
 
 _Value = TypeVar("_Value")
+_STEP = 1024
+"""States from one call of ``progress`` to the next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,9 +371,10 @@ class BagReader:
         def counted(states: Iterable[_Value]) -> Iterator[_Value]:
             nonlocal done
             for state in states:
-                done += 1
-                progress(done, total)
                 yield state
+                done += 1
+                if done % _STEP == 0 or done == total:
+                    progress(done, total)
 
         for topic in chosen:
             type_name = self._state_type(topic)

@@ -68,7 +68,7 @@ def state_arrays(
     wanted = None if names is None else tuple(names)
     stamps, events, sequences = array("q"), array("q"), array("Q")
     x, deviations, law = array("d"), array("d"), ""
-    orders = dict[tuple[str, ...], list[int]]()
+    orders = dict[tuple[str, ...], NDArray[np.intp]]()
     for own, each in states:
         wanted = own if wanted is None else wanted
         if (order := orders.get(own)) is None:
@@ -83,10 +83,11 @@ def state_arrays(
         events.append(each.last_event)
         sequences.append(each.last_sequence)
         x.frombytes(np.concatenate([each.q, each.u])[order].tobytes())
-        variances = np.full(len(order), np.nan)
         if each.covariance.size:  # rounding may leave a variance slightly below zero
             variances = np.diagonal(each.covariance)[order].clip(0.0)
-        deviations.frombytes(np.sqrt(variances).tobytes())
+            deviations.frombytes(np.sqrt(variances).tobytes())
+        else:
+            deviations.extend([np.nan] * order.size)
     columns = 2 * len(wanted or ())
     return RecordedStates(
         wanted or (),
@@ -99,7 +100,7 @@ def state_arrays(
     )
 
 
-def _order(own: tuple[str, ...], wanted: tuple[str, ...], source: str) -> list[int]:
+def _order(own: tuple[str, ...], wanted: tuple[str, ...], source: str) -> NDArray[np.intp]:
     """The places of the ``wanted`` coordinates, and of their velocities, among a state's own."""
     double = sorted({name for name in own if own.count(name) > 1})
     missing = [name for name in wanted if name not in own]
@@ -108,5 +109,5 @@ def _order(own: tuple[str, ...], wanted: tuple[str, ...], source: str) -> list[i
         if found:
             expected = f"expected the coordinates {', '.join(wanted)}"
             raise BagError(f"{source} {problem} {', '.join(found)}; {expected}")
-    order = [own.index(name) for name in wanted]
-    return [*order, *(len(own) + k for k in order)]
+    order = np.array([own.index(name) for name in wanted], dtype=np.intp)
+    return np.concatenate([order, len(own) + order])
