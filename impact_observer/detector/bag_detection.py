@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the detector on a bag of sensor messages, and writes a bag with events."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -30,49 +31,62 @@ class BagDetection:
     Attributes:
         sources: the sensors that are in the bag, complete.
         counts: of each one.
-        events: how many events were written.
+        traces: signals of the sources, if they were to be kept.
         problems: topics without a message or not copied, a line each.
+        part: the part that was read; None for all.
         doubts: what was left out, and an epoch that lacks, a line each.
         rows: number of rows of a signal; 0 of a bag.
         seconds: from the first row to the last one, s.
-        traces: signals of the sources, if they were to be kept.
         zero: the time zero of the traces, as of a part; None without them.
-        part: the part that was read; None for all.
     """
 
     sources: list[Source]
     counts: list[SensorCounts]
-    events: int = 0
-    problems: list[str] = field(default_factory=list)
+    traces: list[SignalTrace]
+    problems: list[str]
+    part: BagPart | None
     doubts: list[str] = field(default_factory=list)
     rows: int = 0
     seconds: float = 0.0
-    traces: list[SignalTrace] = field(default_factory=list)
     zero: TimeZero | None = None
-    part: BagPart | None = None
 
-    def finish(self, path: Path, detector: Detector, model: Model | None) -> None:
-        """Count the events that the ``detector`` has detected in ``path``.
+    @property
+    def events(self) -> int:
+        """How many events were written."""
+        return sum(each.impacts + each.closings + each.openings for each in self.counts)
 
-        Raises:
-            BagError: no impact.
-        """
-        self.events = sum(c.impacts + c.closings + c.openings for c in self.counts)
+
+@contextmanager
+def detecting(
+    path: Path,
+    detector: Detector,
+    output: Path,
+    problems: list[str],
+    *,
+    part: BagPart | None,
+    model: Model | None,
+) -> Iterator[tuple[BagWriter, BagDetection]]:
+    """A writer of a new bag of the impacts in ``path``, and the result, which ends complete.
+
+    Raises:
+        BagError: no impact was found. Then no bag is left.
+    """
+    result = BagDetection(detector.sources, detector.counts, detector.traces, problems, part)
+    with all_or_nothing(output) as writer:
+        yield writer, result
         if model is not None and model.subject.depends_on_time and not detector.epoch:
-            self.doubts.append(
+            result.doubts.append(
                 f"no epoch, and the forcing of {model.subject.name} depends on time: an observer"
                 " needs it; give --epoch in the time of the stamps (the first event has"
                 f" {text(detector.first_event)}), or record the pulses of the drive on"
                 f" {interfaces.PHASE_REFERENCE.topic}"
             )
-        for k, source in enumerate(self.sources):
-            self.doubts += detector.left_out(k)
+        for k, source in enumerate(detector.sources):
+            result.doubts += detector.left_out(k)
             if why := detector.no_impact(k):
-                self.problems.append(f"{source.contact}: {why}")
-        self.traces = detector.traces
-        if not any(counts.impacts for counts in self.counts):
-            why = "; ".join(self.problems + self.doubts)
-            raise BagError(f"{path}: no impact found; {why}")
+                problems.append(f"{source.contact}: {why}")
+        if not any(counts.impacts for counts in detector.counts):
+            raise BagError(f"{path}: no impact found; {'; '.join(problems + result.doubts)}")
 
 
 def detect_bag(
@@ -124,28 +138,17 @@ def detect_bag(
     pulses = None if pulses is None else _checked_pulses(reader, pulses)
     epoch = epoch or first_pulse(reader, pulses)
     zero = partial(sensor_zero, topics=topics, epoch=epoch)
-    part = read_part(
-        reader,
-        start,
-        duration,
-        topics,
-        zero=zero,
-        received=[source.topic for source in declared if source.stamp == "receive"],
-    )
-    detector = Detector(
-        declared,
-        epoch=epoch,
-        traced=traced,
-        joins_late=part is not None and part.is_late,
-    )
-    result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
-    result.zero = zero(reader) if traced else None
-    with all_or_nothing(output) as writer:
+    received = [source.topic for source in declared if source.stamp == "receive"]
+    part = read_part(reader, start, duration, topics, zero=zero, received=received)
+    joins_late = part is not None and part.is_late
+    detector = Detector(declared, epoch=epoch, traced=traced, joins_late=joins_late)
+    made = detecting(reader.path, detector, output, problems, part=part, model=known)
+    with made as (writer, result):
+        result.zero = zero(reader) if traced else None
         copied = _declared(reader, writer, model, problems)
         if pulses is not None:
             writer.declare(interfaces.PHASE_REFERENCE.topic)
         _run(reader, writer, detector, copied=copied, pulses=pulses, progress=progress)
-        result.finish(reader.path, detector, known)
     return result
 
 

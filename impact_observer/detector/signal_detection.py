@@ -12,6 +12,7 @@ from impact_observer.detector import Detector, Source
 from impact_observer.detector.bag_detection import (
     BagDetection,
     check_contacts,
+    detecting,
     present,
     write_events,
     write_model,
@@ -21,7 +22,6 @@ from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import BagPart
 from impact_observer.io.messages import bag_messages
-from impact_observer.io.recordings import all_or_nothing
 from impact_observer.io.signals import Signal
 from impact_observer.io.writer import BagWriter
 from impact_observer.model import Model
@@ -75,10 +75,10 @@ def detect_signal(
         problem = f"no row from {part.words}; choose another part with --start and --duration"
         raise UsageError(f"{signal.path}: {problem}")
     detector = Detector(present_sources, epoch=epoch, traced=traced, joins_late=is_late)
-    result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
-    result.zero, result.rows = signal.time_zero, len(chosen.stamps)
-    result.seconds = seconds_between(int(chosen.stamps[0]), int(chosen.stamps[-1]))
-    with all_or_nothing(output) as writer:
+    made = detecting(signal.path, detector, output, problems, part=part, model=model)
+    with made as (writer, result):
+        result.zero, result.rows = signal.time_zero, len(chosen.stamps)
+        result.seconds = seconds_between(int(chosen.stamps[0]), int(chosen.stamps[-1]))
         if model is not None:
             write_model(writer, model, max(begin, part.low if part else 0))
         writer.declare(interfaces.IMPACTS.topic)
@@ -89,7 +89,6 @@ def detect_signal(
         _run(chosen, names, writer, detector, pulses=pulses, progress=progress)
         result.doubts += signal.remarks
         result.doubts += [signal.omissions[n] for n in {*names} & {*signal.omissions}]
-        result.finish(signal.path, detector, model)
     return result
 
 
