@@ -160,6 +160,7 @@ class Messages:
         values = {field: getattr(value, name) for name, field in _mirrored(kind).items()}
         return self._message(_TYPES[kind], **values, **others)
 
+    # Callers name what they make; values with the fields of their message need no more than that.
     event = smoothed_impact = impact_estimate = measurement_verdict = of
     joint_state = estimate_error = of
 
