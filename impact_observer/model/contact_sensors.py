@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from impact_observer.errors import ModelError
@@ -20,7 +20,7 @@ KEY = "sensors"
 
 
 class ContactSensor(Keys, frozen=True):
-    """What is left of the errors of a contact's sensor; unset are the errors of all contacts.
+    """What is left of the errors of a contact's sensor; None for the error of all contacts.
 
     Attributes:
         clock_error: standard deviation of the stamps, s.
@@ -28,14 +28,14 @@ class ContactSensor(Keys, frozen=True):
         latency: by which the stamps are late, s; negative for early stamps.
     """
 
-    clock_error: Share | UnsetType = UNSET
-    missed: Share | UnsetType = UNSET
-    latency: Annotated[float, Meta(ge=-10.0, le=10.0)] | UnsetType = UNSET
+    clock_error: Share | None = None
+    missed: Share | None = None
+    latency: Annotated[float, Meta(ge=-10.0, le=10.0)] | None = None
 
     def given(self) -> dict[str, float]:
         """The values that are set, by name."""
         named = msgspec.structs.asdict(self)
-        return {name: float(value) for name, value in named.items() if value is not UNSET}
+        return {name: float(value) for name, value in named.items() if value is not None}
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from msgspec import UnsetType
 
 from impact_observer.errors import ModelError
 from impact_observer.model.document import Value, finite, matrix
@@ -120,21 +119,19 @@ def _scale(covariance: Matrix) -> Vector:
     return np.where(deviations > 0, deviations, 1.0)
 
 
-def read_uncertainty(declared: UncertaintyKeys | UnsetType) -> ParameterUncertainty | None:
+def read_uncertainty(declared: UncertaintyKeys | None) -> ParameterUncertainty | None:
     """The key ``uncertainty`` of a model file; None where the file has no such key.
 
     Raises:
         ModelError: a value is wrong.
     """
-    if isinstance(declared, UnsetType):
+    if declared is None:
         return None
-    if not declared.names:
-        raise ModelError(f"{KEY}.names", "is empty; expected names such as restitution.stop")
     p, ends = len(declared.names), declared.fitted_to
     return ParameterUncertainty(
         tuple(declared.names),
         matrix(f"{KEY}.covariance", declared.covariance, (p, p)),
-        None if isinstance(ends, UnsetType) else (ends.first, ends.last),
+        None if ends is None else (ends.first, ends.last),
     )
 
 

@@ -2,17 +2,16 @@
 """A robot in a model file: a URDF, its joints and its contacts with fixed planes."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-from msgspec import UnsetType
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import check_names, vector
 from impact_observer.model.files_beside import file_beside
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.linear_model import smooth_forcing
+from impact_observer.model.parameters_in_file import ParameterPlace, Place
 from impact_observer.model.rebounds import ReboundLaw, read_rebound
 from impact_observer.model.schema import RobotContact, RobotModel, TopicKeys
 from impact_observer.model.system import unit_of
@@ -331,11 +330,26 @@ def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
         own_damping=_of_joints("damping", model.damping, joints, urdf),
         rotor_inertia=_of_joints("rotor_inertia", model.rotor_inertia, joints, urdf),
         contacts=tuple(_read_contact(f"contacts[{i}]", c) for i, c in enumerate(model.contacts)),
-        forces=None if isinstance(model.forces, UnsetType) else (model.forces.topic, "effort"),
+        forces=None if model.forces is None else (model.forces.topic, "effort"),
         torque_deviation=_torque_deviation(model.torque_deviation, joints, urdf),
         gravity=vector("gravity", model.gravity, 3),
         forcing=forcing.checked(len(joints)),
     )
+
+
+def places_in_robot(model: RobotModel, robot: RobotDescription) -> Iterator[ParameterPlace]:
+    """Where the numbers of the parameters of a ``robot`` stand in its file."""
+    of_joints = {
+        "damping": (DAMPING, model.damping),
+        "rotor_inertia": (ROTOR_INERTIA, model.rotor_inertia),
+    }
+    for key, (kind, joints) in of_joints.items():
+        yield from (ParameterPlace(f"{kind}.{joint}", (key, joint)) for joint in joints)
+    for i, contact in enumerate(robot.contacts):
+        for each in contact.rebound.parameters:
+            if each.kind == RESTITUTION:
+                path: Place = ("contacts", i, *each.place)
+                yield ParameterPlace(f"{RESTITUTION}.{contact.name}", path)
 
 
 def _urdf(given: str | TopicKeys, folder: Path | None) -> Urdf | None:
@@ -361,9 +375,9 @@ def _of_joints(
 
 
 def _torque_deviation(
-    given: float | Mapping[str, float] | UnsetType, joints: tuple[str, ...], urdf: Urdf | None
+    given: float | Mapping[str, float] | None, joints: tuple[str, ...], urdf: Urdf | None
 ) -> Vector | None:
-    if isinstance(given, UnsetType):
+    if given is None:
         return None
     if isinstance(given, Mapping):
         return _of_joints("torque_deviation", given, joints, urdf)

@@ -77,7 +77,7 @@ def test_an_identified_frequency_is_written_in_hertz_again() -> None:
     family = parametric_family(model.system, ["forcing-frequency.1"])
     document = load_yaml(text)
     assert isinstance(document, dict)
-    again = edited(text, changes(document, family, np.array([12.5])))
+    again = edited(text, changes(document, model.places, family, np.array([12.5])))
     assert "hertz: 2," not in again
     found = parse_model(again, "model").system.own_forcing.frequency
     assert found == pytest.approx([12.5], rel=1e-15)

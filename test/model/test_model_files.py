@@ -115,11 +115,11 @@ IN_ELEMENT_FORM = (
     ),
     ("[ground, a]", "[a, a]", "springs[0].between"),
     ("stiffness: 10", "stiffness: -1", "springs[0].stiffness: -1 found"),
-    ("{body: b, amp", "{body: ground, amp", "forces[0].body: is the ground"),
+    ("{body: b, amp", "{body: ground, amp", "forces[0].body"),
     (
         "{body: a, constant: 1}",
         "{body: a, constant: 1, phase: 2}",
-        "forces[1].phase: stands beside",
+        "forces[1].phase",
     ),
     ("side: above", "side: left", "stops[0].side"),
     (

@@ -223,8 +223,12 @@ def test_both_forms_go_together() -> None:
     ("old", "new", "line"),
     [
         ("[[1, 0],", "[[{value: 1, deviation: 0.1}, 0],", "mass[0][0]"),
-        ("[[20,", "[[{value: 20, deviation: 0.1},", "and stiffness-scale in uncertainty"),
-        ("cosine: [0, 4]", "cosine: [0, {value: 4, deviation: 1}]", "forcing-amplitude.1 or forc"),
+        ("[[20,", "[[{value: 20, deviation: 0.1},", "stiffness[0][0]"),
+        (
+            "cosine: [0, 4]",
+            "cosine: [0, {value: 4, deviation: 1}]",
+            "forcing.harmonics[0].cosine[1]",
+        ),
         (
             "[mass-scale]",
             "[gap.stop]",

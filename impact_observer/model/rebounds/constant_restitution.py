@@ -37,7 +37,7 @@ class ConstantRestitution(ReboundLaw):
 
     def checked(self, key: str) -> "ConstantRestitution":
         """The same law with a checked coefficient."""
-        return ConstantRestitution(converted(self.restitution, Share, f"{key}.restitution"))
+        return ConstantRestitution(converted(float(self.restitution), Share, f"{key}.restitution"))
 
     @property
     def document(self) -> dict[str, Value]:

@@ -62,7 +62,8 @@ class PowerLaw(ReboundLaw):
 
     @property
     def _numbers(self) -> dict[str, float]:
-        return {name: getattr(self, name) for name in ("value", "speed", "exponent", "limit")}
+        names = ("value", "speed", "exponent", "limit")
+        return {name: float(getattr(self, name)) for name in names}
 
     @property
     def document(self) -> dict[str, Value]:
