@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         if kinds[Kind.CLOSE]:
             words.append(f"{kinds[Kind.CLOSE]} of them persistent")
         words.append(f"{stamps.size} true states")
-        own = ["own errors of contacts"] if model.sensors.by_contact else []
+        own = ["own errors of contacts"] if model.sensors else []
         if faults := [*sensor.faults, *own]:
             words.append(f"{len(events)} events of a sensor with {', '.join(faults)}")
         if sensors:

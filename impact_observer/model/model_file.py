@@ -16,7 +16,11 @@ import numpy as np
 
 from impact_observer.errors import ModelError, NotLinearError, UsageError
 from impact_observer.model.contact_sensors import KEY as SENSORS
-from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors, contact_sensors
+from impact_observer.model.contact_sensors import (
+    ContactSensors,
+    contact_sensors,
+    written_sensors,
+)
 from impact_observer.model.document import Value, converted, finite
 from impact_observer.model.fit_verdict import TimeShift, WrittenVerdict, verdict_keys
 from impact_observer.model.free_parameters import LATENCY, is_observed
@@ -75,7 +79,7 @@ class Model:
     form: Mapping[str, Value] = field(default_factory=dict)
     uncertainty: ParameterUncertainty | None = None
     robot: RobotDescription | None = None
-    sensors: ContactSensors = NO_SENSORS
+    sensors: ContactSensors = field(default_factory=dict)
     places: tuple[ParameterPlace, ...] = ()
 
     def __repr__(self) -> str:
@@ -177,8 +181,8 @@ class Model:
             }
         if self.uncertainty is not None:
             document["uncertainty"] = self.uncertainty.document
-        if self.sensors.by_contact:
-            document[SENSORS] = self.sensors.document
+        if self.sensors:
+            document[SENSORS] = written_sensors(self.sensors)
         if origin := provenance or self.provenance:
             document["provenance"] = {**origin, **verdict_keys(self.provenance)}
         return yaml_text(document)

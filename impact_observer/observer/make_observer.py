@@ -70,7 +70,7 @@ def make_observer(
         unknowns = unknowns or _unknown_parameters(linear, options, model)
         system, known = linear, Uncertainty(unknowns=unknowns, undeclared=undeclared)
     known = replace(known, shift=model.shift)
-    if model.sensors.by_contact and law.has_covariance:
+    if model.sensors and law.has_covariance:
         names = system.contact_names
         known = replace(known, contacts=ContactErrors.of(model.sensors, names, options.missed))
     encoders = encoder_start(options, system, measurements)

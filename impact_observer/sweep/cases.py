@@ -214,7 +214,7 @@ class Sweep:
     def _alike(self, block: range) -> list[list[int]]:
         """The cases of a block, those with equal events together if the law has replicas."""
         options, sensor, _, _ = self._case(block[0])
-        is_exact = not (sensor.faults or parsed(self.model).sensors.by_contact)
+        is_exact = not (sensor.faults or parsed(self.model).sensors)
         has_replicas = issubclass(law_named(options.law), ReplicaLaw)
         if is_exact and has_replicas and not self.measurements:
             return [[*block]]
