@@ -182,22 +182,6 @@ def vector(key: str, values: Sequence[float] | None, n: int, meaning: str = "") 
     return finite(key, values, (n,), f"a list of {n} numbers{meaning}")
 
 
-def matrix(key: str, rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> Vector:
-    """Rows of numbers as an array of this ``shape``.
-
-    Raises:
-        ModelError: another number of rows, or of numbers in a row.
-    """
-    if len(rows) != shape[0]:
-        problem = f"{len(rows)} rows found; expected {shape[0]} rows of {shape[1]} numbers"
-        raise ModelError(key, problem)
-    for i, row in enumerate(rows):
-        if len(row) != shape[1]:
-            problem = f"{len(row)} values found; expected a list of {shape[1]} numbers"
-            raise ModelError(f"{key}[{i}]", problem)
-    return np.reshape(np.array(rows, dtype=np.float64), shape)
-
-
 def finite(
     key: str, values: ArrayLike, shape: tuple[int, ...], what: str, largest: float = LARGEST
 ) -> Vector:
@@ -210,7 +194,9 @@ def finite(
     try:
         array = frozen(values)
     except (TypeError, ValueError):
-        raise ModelError(key, f"is not made of numbers only; expected {what}") from None
+        raise ModelError(
+            key, f"has rows of several lengths, or other things than numbers; expected {what}"
+        ) from None
     if array.shape != shape:
         given = " x ".join(map(str, array.shape)) or "a single number"
         found = f"{given} values found" if array.ndim == 1 else f"has shape {given}"

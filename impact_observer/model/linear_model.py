@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Keys, Value, check_names, matrix, vector
+from impact_observer.model.document import Keys, Value, check_names, finite, vector
 from impact_observer.model.files_beside import (
     TIME,
     load_matrix,
@@ -100,9 +100,9 @@ class LinearFile:
     def _read_matrices(self, model: MatrixModel) -> None:
         names, n, given = model.coordinates, len(model.coordinates), model.forcing
         matrices = {
-            key: load_matrix(key, value, self._folder)
+            key: load_matrix(key, value, self._folder, (n, n))
             if isinstance(value := getattr(model, key), str)
-            else matrix(key, value, (n, n))
+            else finite(key, value, (n, n), f"{n} rows of {n} numbers")
             for key in ("mass", "damping", "stiffness")
         }
         if given.constant is not None:
@@ -395,8 +395,10 @@ def _read_samples(
     if hold is None:
         raise ModelError("forcing.hold", "is missing; expected previous or linear")
     if isinstance(given, TableKeys):
-        shape = len(given.time), len(coordinates)
-        return Samples(np.array(given.time), matrix(f"{key}.force", given.force, shape), hold)
+        shape = rows, columns = len(given.time), len(coordinates)
+        wanted = f"{rows} rows, one an instant, of {columns} numbers"
+        force = finite(f"{key}.force", given.force, shape, wanted)
+        return Samples(np.array(given.time), force, hold)
     table = read_table(key, given, coordinates, folder)
     try:
         return Samples(table[:, 0], table[:, 1:], hold)
@@ -426,8 +428,14 @@ def matrix_form(system: System) -> dict[str, Value]:
     grounds = None if system.frame is None else system.frame.grounds
     contacts = list[dict[str, Value]]()
     for i, contact in enumerate(system.contacts):
-        own = {"name": contact.name, "direction": contact.direction.tolist(), "gap": contact.gap}
-        contacts.append({**own, **system.rebounds[i].document})
+        contacts.append(
+            {
+                "name": contact.name,
+                "direction": contact.direction.tolist(),
+                "gap": contact.gap,
+                "restitution": system.rebounds[i].written,
+            }
+        )
         if grounds is not None:
             moving = zip(grounds.names, grounds.factors[i].tolist(), strict=True)
             contacts[-1]["motion"] = [{"ground": g, "factor": f} for g, f in moving if f]

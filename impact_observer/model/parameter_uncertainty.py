@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Value, finite, matrix
+from impact_observer.model.document import Value, finite
 from impact_observer.model.schema import UncertaintyKeys
 from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector, frozen
@@ -127,12 +127,10 @@ def read_uncertainty(declared: UncertaintyKeys | None) -> ParameterUncertainty |
     """
     if declared is None:
         return None
-    p, ends = len(declared.names), declared.fitted_to
-    return ParameterUncertainty(
-        tuple(declared.names),
-        matrix(f"{KEY}.covariance", declared.covariance, (p, p)),
-        None if ends is None else (ends.first, ends.last),
-    )
+    ends = declared.fitted_to
+    fitted_to = None if ends is None else (ends.first, ends.last)
+    covariance = np.array(declared.covariance, dtype=object)  # rows may have any lengths
+    return ParameterUncertainty(declared.names, covariance, fitted_to)
 
 
 def _checked_covariance(covariance: Matrix, p: int) -> Matrix:

@@ -179,8 +179,6 @@ class System:
         }
         for key, value in derived.items():
             object.__setattr__(self, key, value)
-        if self.frame is not None:
-            self.frame.check(self.forcing, self.M, self.C, self.K)
 
     def unchecked(self, **changes: object) -> "System":
         """A copy with other values of fields, also of derived ones; nothing is checked."""

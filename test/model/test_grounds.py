@@ -220,14 +220,6 @@ def test_a_start_inside_a_stop_names_what_is_usually_wrong() -> None:
         parse_model(turned, "m")
 
 
-def test_grounds_of_another_system_are_refused() -> None:
-    """A system cannot get another mass while it keeps the forces of the old frame."""
-    system = parse_model(ELEMENTS, "m").system
-    with pytest.raises(ModelError, match="grounds"):
-        System("s", system.coordinates, 2 * system.M, system.C, system.K, system.forcing,
-               system.contacts, system.frame)  # fmt: skip
-
-
 def test_amplitude_and_phase_of_a_ground_are_parameters() -> None:
     """Forces of the family are those of the model with them; those of its frame are refused."""
     model = parse_model(ELEMENTS, "m")

@@ -230,7 +230,6 @@ def test_integer_matrix_file_is_read(tmp_path: Path) -> None:
         ("none.npy", None, ("mass: names the file ", "none.npy, which does not exist")),
         ("bad.npy", b"no numpy", ("mass: ", "bad.npy cannot be read: ")),
         ("bad.mtx", b"no market\nat all\n", ("mass: ", "bad.mtx cannot be read: ")),
-        ("bad.mtx.gz", b"no gzip", ("mass: ", "bad.mtx.gz cannot be read: ")),
         ("cut.mtx", b"%%MatrixMarket matrix array real general\n2 2\n1\n", ("mass: ", "cut.mtx")),
         ("empty.npy", b"", ("mass: ", "empty.npy cannot be read: ")),
         ("m.csv", b"1,0\n0,1\n", ("mass",)),
