@@ -156,7 +156,8 @@ def _expected(kind: object) -> str:
 def _bounds(meta: Meta) -> str:
     """The bounds of a number or of the length of a list, in words; empty for the usual ones."""
     if meta.min_length is not None:
-        return f", at least {meta.min_length}"
+        most = "" if meta.max_length is None else f" and at most {meta.max_length}"
+        return f", at least {meta.min_length}{most}"
     low, high = meta.ge if meta.gt is None else meta.gt, meta.le if meta.lt is None else meta.lt
     if low is None or high is None or (low, high) == (-LARGEST, LARGEST):
         return ""

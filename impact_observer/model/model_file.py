@@ -6,7 +6,6 @@ number (``parameters_in_file``); keys and values are those of the ``schema``; a 
 a ``RobotDescription`` is made, with the places of all parameters, to which deviations belong.
 """
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -212,12 +211,6 @@ def model_text(source: str | Path) -> ModelText:
     return ModelText(text, str(path), path.parent)
 
 
-_MASSES = re.compile(r"\bmass *:")
-"""What each body of a model file has, to be counted before the file is read as YAML."""
-_MOST_BODIES = 10_000
-"""As many have matrices of 100 million numbers; YAML takes a minute for ten times as many."""
-
-
 def read_model(source: str | Path) -> Model:
     """Read a model file, or a sample model by its name, such as ``two_mass``.
 
@@ -243,15 +236,12 @@ def model_of(source: ModelSource, asking: str) -> Model:
         return source
     if isinstance(source, System):
         return Model(source)
-    if isinstance(source, str) and "\n" in source:
-        raise UsageError(
-            f"{asking}: a text of several lines found; expected parse_model(TEXT, NAME)"
-        )
-    if isinstance(source, (str, Path)):
+    if isinstance(source, Path) or (isinstance(source, str) and "\n" not in source):
         return read_model(source)
+    found = "a text of several lines" if isinstance(source, str) else type(source).__name__
     raise UsageError(
-        f"{asking}: {type(source).__name__} found; expected a Model, a System, or the path of a"
-        " model file"
+        f"{asking}: {found} found; expected a Model, a System, or the path of a model file;"
+        " parse_model(TEXT, NAME) reads a text"
     )
 
 
@@ -262,8 +252,6 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
         ModelError: one line that names ``source``, the key and the expected value.
     """
     try:
-        if (count := len(_MASSES.findall(text))) > _MOST_BODIES:
-            raise ModelError("bodies", f"{count} found; expected at most {_MOST_BODIES}")
         document = load_yaml(text)
         if not isinstance(document, Mapping):
             raise ModelError("", "is not a model: expected a YAML mapping with name, bodies, ...")

@@ -156,24 +156,24 @@ class RobotDescription:
     def torque_remarks(self) -> tuple[tuple[str, str], ...]:
         """Kinds (warning, note) and texts of what an observer does not know of torques."""
         if self.forces is None:
-            problem = (
+            text = (
                 "the model has no forces, so its torques count as zero, and encoders of a driven"
                 " robot seem to err: give forces: {topic: /joint_states, field: effort}"
             )
-            return (("warning", problem),)
-        if self.torque_deviation is None:
-            note = (
+        elif self.torque_deviation is None:
+            text = (
                 "the model has no torque_deviation: that of changes of efforts from sample to"
                 " sample is used, which covers no errors of masses"
             )
-            return (("note", note),)
-        if self.torque_deviation.any():
+            return (("note", text),)
+        elif not self.torque_deviation.any():
+            text = (
+                "the model has a torque_deviation of zero: its torques and efforts count as exact,"
+                " so deviations are too small; leave it out for that of efforts between samples"
+            )
+        else:
             return ()
-        problem = (
-            "the model has a torque_deviation of zero: its torques and efforts count as exact, so"
-            " deviations are too small; leave it out for that of efforts between samples"
-        )
-        return (("warning", problem),)
+        return (("warning", text),)
 
     def with_urdf(self, text: str) -> "RobotDescription":
         """The robot with the ``text`` of the URDF that came from the topic.
@@ -217,17 +217,15 @@ class RobotDescription:
     @property
     def parameters(self) -> dict[str, float]:
         """Values of the parameters that may have deviations, by name such as ``damping.elbow``."""
-        laws = [law.parameters for law in (each.rebound for each in self.contacts)]
-        return {
-            **_by_joint(DAMPING, self.joints, self.own_damping),
-            **_by_joint(ROTOR_INERTIA, self.joints, self.rotor_inertia),
-            **{
-                f"{RESTITUTION}.{contact.name}": each.value
-                for contact, parameters in zip(self.contacts, laws, strict=True)
-                for each in parameters
-                if each.kind == RESTITUTION
-            },
-        }
+        found = dict[str, float]()
+        for kind, values in {DAMPING: self.own_damping, ROTOR_INERTIA: self.rotor_inertia}.items():
+            names = (f"{kind}.{joint}" for joint in self.joints)
+            found |= dict(zip(names, values.tolist(), strict=True))
+        for contact in self.contacts:
+            for each in contact.rebound.parameters:
+                if each.kind == RESTITUTION:
+                    found[f"{RESTITUTION}.{contact.name}"] = each.value
+        return found
 
     def unit_of_parameter(self, name: str) -> str:
         """The SI unit of a parameter, by its name such as ``damping.elbow``; empty for a ratio."""
@@ -247,21 +245,16 @@ class RobotDescription:
             if known[name] < 0:
                 raise ModelError(name, f"{known[name]:g} found; expected a number of at least 0")
 
-        def of_joints(kind: str) -> Vector:
-            return frozen([known[f"{kind}.{name}"] for name in self.joints])
-
         contacts = []
         for i, each in enumerate(self.contacts):
-            eps = f"{RESTITUTION}.{each.name}"
-            own = [
-                known[eps] if p.kind == RESTITUTION else p.value for p in each.rebound.parameters
-            ]
-            law = each.rebound.with_values(own).checked(f"contacts[{i}]") if own else each.rebound
+            law, eps = each.rebound, known[f"{RESTITUTION}.{each.name}"]
+            own = [eps if p.kind == RESTITUTION else p.value for p in law.parameters]
+            law = law.with_values(own).checked(f"contacts[{i}]")
             contacts.append(replace(each, rebound=law))
         return replace(
             self,
-            own_damping=of_joints(DAMPING),
-            rotor_inertia=of_joints(ROTOR_INERTIA),
+            own_damping=frozen([known[f"{DAMPING}.{name}"] for name in self.joints]),
+            rotor_inertia=frozen([known[f"{ROTOR_INERTIA}.{name}"] for name in self.joints]),
             contacts=tuple(contacts),
         )
 
@@ -290,15 +283,14 @@ class RobotDescription:
             return f"mimics {joint.mimics!r}; expected a joint that moves by itself"
         if joint.friction:
             return (
-                f"has dry friction of {joint.friction:g} in {self.origin}, which robots cannot"
-                " have here; expected friction 0, and damping instead"
+                f"has dry friction of {joint.friction:g} in {self.origin}; expected friction 0,"
+                " and damping instead"
             )
-        for other in urdf.joints.values():
-            if other.mimics == name:
-                return (
-                    f"moves {other.name!r} of {self.origin}, which mimics {name!r}; expected a"
-                    f" URDF in which {other.name!r} is fixed"
-                )
+        if moved := [each.name for each in urdf.joints.values() if each.mimics == name]:
+            return (
+                f"moves {moved[0]!r} of {self.origin}, which mimics {name!r}; expected a URDF in"
+                f" which {moved[0]!r} is fixed"
+            )
         return ""
 
 
@@ -309,17 +301,16 @@ def one_of_each(joints: Sequence[str], urdf: Urdf | None) -> str:
     return f", one of each in joints: {', '.join(joints)}{others}"
 
 
-def _by_joint(kind: str, joints: Sequence[str], values: Vector) -> dict[str, float]:
-    return {f"{kind}.{name}": value for name, value in zip(joints, values.tolist(), strict=True)}
-
-
 def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
     """The robot in a model file; ``folder`` is where its other files lie.
 
     Raises:
         ModelError: a value is wrong; the error names the key and the expected value.
     """
-    joints, urdf = tuple(model.joints), _urdf(model.urdf, folder)
+    joints, urdf = model.joints, _urdf(model.urdf, folder)
+    noise = model.torque_deviation
+    if isinstance(noise, float):
+        noise = dict.fromkeys(joints, noise)
     forcing = smooth_forcing(model.forcing, joints, folder, one_of_each(joints, urdf))
     return RobotDescription(
         name=model.name,
@@ -331,7 +322,9 @@ def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
         rotor_inertia=_of_joints("rotor_inertia", model.rotor_inertia, joints, urdf),
         contacts=tuple(_read_contact(f"contacts[{i}]", c) for i, c in enumerate(model.contacts)),
         forces=None if model.forces is None else (model.forces.topic, "effort"),
-        torque_deviation=_torque_deviation(model.torque_deviation, joints, urdf),
+        torque_deviation=None
+        if noise is None
+        else _of_joints("torque_deviation", noise, joints, urdf),
         gravity=vector("gravity", model.gravity, 3),
         forcing=forcing.checked(len(joints)),
     )
@@ -372,16 +365,6 @@ def _of_joints(
                 wanted += f", or {name} in joints, without which it is held"
             raise ModelError(f"{key}.{name}", f"is none of joints; expected some of {wanted}")
     return frozen([given.get(name, 0.0) for name in joints])
-
-
-def _torque_deviation(
-    given: float | Mapping[str, float] | None, joints: tuple[str, ...], urdf: Urdf | None
-) -> Vector | None:
-    if given is None:
-        return None
-    if isinstance(given, Mapping):
-        return _of_joints("torque_deviation", given, joints, urdf)
-    return frozen([given] * len(joints))
 
 
 def _read_contact(key: str, contact: RobotContact) -> PlaneContact:

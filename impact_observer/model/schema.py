@@ -23,6 +23,8 @@ from impact_observer.model.document import Keys, Name, NotNegative, Number, Posi
 Row: TypeAlias = tuple[Number, ...]
 File: TypeAlias = str
 Pair: TypeAlias = tuple[Name, Name]
+MOST_BODIES = 10_000
+"""As many have matrices of 100 million numbers."""
 Restitution: TypeAlias = Number | dict[str, Number]
 """A coefficient, or the numbers of another rebound law by name (``rebounds/``)."""
 
@@ -173,7 +175,7 @@ class StopKeys(Keys):
 class ElementModel(Linear, kw_only=True):
     """A linear system as bodies, springs, forces and stops on one line."""
 
-    bodies: Annotated[tuple[Body, ...], Meta(min_length=1)]
+    bodies: Annotated[tuple[Body, ...], Meta(min_length=1, max_length=MOST_BODIES)]
     springs: tuple[Spring, ...] = ()
     forces: tuple[Force, ...] = ()
     forcing: SampledForces | None = None

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from impact_observer.batch.model_edit import changes
-from impact_observer.errors import ModelError
 from impact_observer.model import parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.yaml_text import edited, load_yaml
@@ -55,19 +54,6 @@ def test_a_deviation_is_converted_too() -> None:
     assert model.uncertainty is not None
     assert model.uncertainty.names == ("forcing-frequency.1",)
     assert model.uncertainty.deviations == pytest.approx([math.tau * 0.1])
-
-
-@pytest.mark.parametrize(
-    ("force", "place"),
-    [
-        ("hertz: 2, frequency: 12", r"forces\[0\]\.hertz: .*frequency"),
-        ("hertz: two", r"forces\[0\]\.hertz: 'two'"),
-    ],
-)
-def test_two_keys_or_no_number_are_errors(force: str, place: str) -> None:
-    """The line names the key."""
-    with pytest.raises(ModelError, match=place):
-        parse_model(written(ELEMENTS, force), "model")
 
 
 def test_an_identified_frequency_is_written_in_hertz_again() -> None:

@@ -50,108 +50,6 @@ def assert_one_line(error: ImpactObserverError, *fragments: str) -> None:
         assert fragment in line
 
 
-IN_MATRIX_FORM = (
-    (
-        "[[1, 0], [0, 1]]",
-        "[[1, 2], [0, 1]]",
-        "mass: is not symmetric: [0][1] is 2 but [1][0] is 0",
-    ),
-    ("[[1, 0], [0, 1]]", "[[0.49, 0.21], [0.21, 0.09]]", "mass: is not positive definite"),
-    ("[[1, 0], [0, 1]]", "[[1, 0]]", "mass"),
-    ("[[1, 0], [0, 1]]", "[[1, 0], [0, one]]", "mass[1][1]: 'one' found"),
-    (
-        "[[1, 0], [0, 1]]",
-        "m.npy",
-        "mass",
-    ),
-    ("mass:      [[1, 0], [0, 1]]\n", "", "mass: is missing"),
-    ("name: two_mass", "name: 2", "name: 2 found"),
-    ("name: two_mass", "name: two_mass\nmas: 3", "mas"),
-    ("name: two_mass", 'name: two_mass\n"a\\nb": 3', "a b: is not known here"),
-    (
-        "name: two_mass",
-        "name: two_mass\nname: b",
-        "is not YAML at line 2, column 1: found duplicate",
-    ),
-    (
-        "name: two_mass",
-        "name: two_mass\nsprings: []",
-        "springs",
-    ),
-    ("[x1, x2]", "[x1, x1]", "coordinates[1]: 'x1' is taken already"),
-    (
-        "[[20, -10], [-10, 10]]",
-        "[[20, -20], [-20, 10]]",
-        "stiffness: is not positive semidefinite",
-    ),
-    (
-        "[[0.2, -0.1], [-0.1, 0.1]]",
-        "[[0.2, 0], [0, -0.1]]",
-        "damping: the symmetric part of it is",
-    ),
-    (
-        "restitution: 0.7",
-        "restitution: 1.1",
-        "contacts[0].restitution",
-    ),
-    ("gap: 0.5", "gap: -.inf", "contacts[0].gap: -inf found"),
-    ("gap: 0.5", "gap: true", "contacts[0].gap"),
-    ("gap: 0.5", "gap: 1" + "0" * 400, "contacts[0].gap: 1000"),
-    ("gap: 0.5", "gpa: 0.5", "contacts[0].gpa"),
-    ("[0, -1]", "[0, 0]", "contacts[0].direction: is zero"),
-    ("frequency: 2.5", "frequency: 0", "forcing.harmonics[0].frequency: 0 found"),
-    ("[0, 4]", "[4]", "forcing.harmonics[0].cosine: 1 values found"),
-    ("[0.1, -0.2]", "[0.1, 0.6]", "initial_state.position: is inside the stop 'stop' (gap -0.1)"),
-)
-IN_ELEMENT_FORM = (
-    ("name: pair", "name: pair\nmass: [[1]]", "mass"),
-    ("name: pair", "name: pair\nunit: cm", "unit"),
-    ("{name: b, mass: 1}", "{name: b, mass: 0}", "bodies[1].mass: 0 found"),
-    ("{name: b,", "{name: ground,", "bodies[1].name: 'ground' is taken"),
-    (
-        "[ground, a]",
-        "[ground, c]",
-        "springs[0].between[1]",
-    ),
-    ("[ground, a]", "[a, a]", "springs[0].between"),
-    ("stiffness: 10", "stiffness: -1", "springs[0].stiffness: -1 found"),
-    ("{body: b, amp", "{body: ground, amp", "forces[0].body"),
-    (
-        "{body: a, constant: 1}",
-        "{body: a, constant: 1, phase: 2}",
-        "forces[1].phase",
-    ),
-    ("side: above", "side: left", "stops[0].side"),
-    (
-        "body: b, limit: 0.5, side: above",
-        "between: [a, b], limit: 0.5",
-        "stops[0].limit: does not go",
-    ),
-    ("restitution: 0.7", "restitution: 7", "stops[0].restitution"),
-)
-NOT_A_MODEL = (
-    ("- 1", "is not a model"),
-    ("name:\n\t- x", "is not YAML at line 2, column 1: found character '\\t'"),
-    (MATRICES + "---\n" + MATRICES, "is not YAML at line 11, column 1"),
-    ("name: !!python/object:os.system x", "is not YAML at line 1, column 7"),
-    ("a: " + "[" * 500 + "]" * 500, "is not YAML: maximum recursion depth"),
-)
-MISTAKES = [
-    *((mistaken(MATRICES, old, new), line) for old, new, line in IN_MATRIX_FORM),
-    *((mistaken(ELEMENTS, old, new), line) for old, new, line in IN_ELEMENT_FORM),
-    *NOT_A_MODEL,
-]
-"""Texts with one mistake of each kind, and how the error line begins after the file's name."""
-
-
-def test_each_kind_of_mistake_is_one_line_with_file_key_and_remedy() -> None:
-    """A mistake in a model file ends in one line that names the file, its key and the remedy."""
-    for text, line in MISTAKES:
-        with pytest.raises(ModelError) as caught:
-            parse_model(text, "my.yaml")
-        assert_one_line(caught.value, f"my.yaml: {line}")
-
-
 @pytest.mark.parametrize(
     ("written", "value"),
     [("1e-3", 1e-3), ("1.0e-3", 1e-3), ("1E+2", 100.0), ("3", 3.0), (".5", 0.5), ("-0.0", 0.0)],
@@ -349,13 +247,6 @@ def test_a_file_that_takes_minutes_to_parse_is_refused_at_once(tmp_path: Path) -
         read_model(large)
     with pytest.raises(ModelError, match="10000009 characters found"):
         parse_model(large.read_text(), "model")
-
-
-def test_more_bodies_than_a_matrix_can_have_are_counted_before_they_are_read() -> None:
-    """YAML would take a minute for the first of them."""
-    text = "name: x\nbodies:\n" + "  - {name: b, mass: 1}\n" * 10_001 + "springs: ["
-    with pytest.raises(ModelError, match="model: bodies: 10001 found; expected at most 10000"):
-        parse_model(text, "model")
 
 
 def test_aliases_without_an_end_are_refused_at_once() -> None:

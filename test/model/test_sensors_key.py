@@ -2,10 +2,8 @@
 """The key ``sensors`` of a model file: what is read and written, and what each mistake says."""
 
 import numpy as np
-import pytest
 from systems import sample
 
-from impact_observer.errors import ModelError
 from impact_observer.model import parse_model, read_model
 from impact_observer.model.contact_sensors import ContactSensor
 from impact_observer.model.rebounds.power_law import PowerLaw
@@ -46,29 +44,6 @@ def test_matrices_and_robots_have_sensors() -> None:
         (found,) = read.sensors.values()
         assert found == expected
         assert parse_model(read.text(), "written").sensors == read.sensors
-
-
-@pytest.mark.parametrize(
-    ("sensors", "key", "wanted"),
-    [
-        ("{bell: none}", "sensors.bell", "expected one of anvil, back"),
-        ("{anvil: {jitter: 1}}", "sensors.anvil.jitter", "expected one of clock_error, missed"),
-        ("{anvil: no}", "sensors.anvil", "none"),
-        ("{anvil: {missed: 1.1}}", "sensors.anvil.missed", "0 to 1"),
-        ("{anvil: {clock_error: -1}}", "sensors.anvil.clock_error", "0 to 1"),
-        ("{anvil: {latency: 11}}", "sensors.anvil.latency", "-10 to 10"),
-        ("{anvil: {latency: fast}}", "sensors.anvil.latency", "a number"),
-        ("{anvil: {latency: }}", "sensors.anvil.latency", "nothing found"),
-        ("none", "sensors", "none"),
-    ],
-)
-def test_mistakes_are_one_line(sensors: str, key: str, wanted: str) -> None:
-    """Which names the key."""
-    with pytest.raises(ModelError) as error:
-        parse_model(rig(sensors), "rig")
-    assert str(error.value).startswith(f"rig: {key}: ")
-    assert wanted in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 def test_a_number_of_an_array_is_a_number() -> None:
