@@ -225,7 +225,7 @@ ModelSource: TypeAlias = Model | System | str | Path
 """A model, a bare system, or the path of a model file or the name of a sample model."""
 
 
-def model_of(source: ModelSource, asking: str) -> Model:
+def model_of(source: object, asking: str) -> Model:
     """The model that ``source`` is or names; errors begin with ``asking``, who wants the model.
 
     Raises:
@@ -236,13 +236,13 @@ def model_of(source: ModelSource, asking: str) -> Model:
         return source
     if isinstance(source, System):
         return Model(source)
-    if isinstance(source, Path) or (isinstance(source, str) and "\n" not in source):
-        return read_model(source)
-    found = "a text of several lines" if isinstance(source, str) else type(source).__name__
-    raise UsageError(
-        f"{asking}: {found} found; expected a Model, a System, or the path of a model file;"
-        " parse_model(TEXT, NAME) reads a text"
-    )
+    if not isinstance(source, str | Path) or "\n" in str(source):
+        found = type(source).__name__ if not isinstance(source, str) else "a text of several lines"
+        raise UsageError(
+            f"{asking}: {found} found; expected a Model, a System, or the path of a model file;"
+            " parse_model(TEXT, NAME) reads a text"
+        )
+    return read_model(source)
 
 
 def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
