@@ -211,6 +211,18 @@ def finite(
     raise ModelError(f"{key}{index}", why)
 
 
+def symmetric(key: str, matrix: Vector, slack: float | Vector) -> Vector:
+    """The symmetric part of a ``matrix``, frozen, shape (n, n).
+
+    Raises:
+        ModelError: entries differ from those across the diagonal by more than ``slack``.
+    """
+    for i, j in np.argwhere(np.abs(matrix - matrix.T) > slack)[:1].tolist():
+        problem = f"[{i}][{j}] is {matrix[i, j]:g} but [{j}][{i}] is {matrix[j, i]:g}"
+        raise ModelError(key, f"is not symmetric: {problem}; make them equal")
+    return frozen((matrix + matrix.T) / 2)
+
+
 def check_names(
     key: str,
     names: Sequence[object],

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Value, finite
+from impact_observer.model.document import Value, finite, symmetric
 from impact_observer.model.schema import UncertaintyKeys
 from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector, frozen
@@ -146,16 +146,10 @@ def _checked_covariance(covariance: Matrix, p: int) -> Matrix:
     deviations = np.sqrt(np.diag(given))
     sizes = np.outer(deviations, deviations)
     scale = np.where(sizes > 0, sizes, 1.0)
-    if np.any(wrong := np.abs(given - given.T) > _ROUNDING * sizes):
-        i, j = np.argwhere(wrong)[0]
-        raise ModelError(
-            key,
-            f"is not symmetric: [{i}][{j}] is {given[i, j]:g} but [{j}][{i}] is {given[j, i]:g};"
-            " make them equal",
-        )
+    even = symmetric(key, given, _ROUNDING * sizes)
     correlated = np.any(np.abs(given) > (1 + _ROUNDING) * sizes)
     if correlated or np.linalg.eigvalsh(given / scale).min(initial=0.0) < -_ROUNDING * p:
         raise ModelError(
             key, "is not positive semidefinite; expected correlations that are possible together"
         )
-    return frozen((given + given.T) / 2)
+    return even

@@ -92,15 +92,15 @@ def test_harmonics_without_amplitude_do_not_depend_on_time() -> None:
         ({"forcing": Forcing.none(3)}, "forcing.constant"),
         (
             {"forcing": Forcing(np.zeros(2), np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)))},
-            r"forcing.harmonics\[0\].frequency",
+            "forcing.harmonics.frequency",
         ),
         (
             {"forcing": Forcing(np.zeros(2), np.ones(1), np.zeros((1, 3)), np.zeros((1, 2)))},
-            r"forcing.harmonics\[0\].cosine",
+            "forcing.harmonics.cosine",
         ),
         (
             {"forcing": Forcing(np.zeros(2), np.ones(1), np.zeros((1, 2)), np.zeros((2, 2)))},
-            "forcing.harmonics: 2 rows of sine for 1 frequencies",
+            "forcing.harmonics.sine",
         ),
     ],
 )
