@@ -48,7 +48,23 @@ _WENT = "went in 0.4.0; impact_observer 0.3.0 has it"
 
 
 class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Keys that stand together in a file; any other key there is an error."""
+    """Keys that stand together in a file; any other key there is an error.
+
+    What a class asks of several keys is in its ``__post_init__``, whose errors name such a key.
+    """
+
+    def check_form(self, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
+        """Check that of the keys that may be left out only those of one form are given.
+
+        Raises:
+            ModelError: a ``needed`` key is missing, or one is given that is not ``optional``.
+        """
+        for each in msgspec.structs.fields(self):
+            is_given = each.required or getattr(self, each.name) is not None
+            if each.name in needed and not is_given:
+                raise ModelError(each.name, "is missing")
+            if is_given and not (each.required or each.name in (*needed, *optional)):
+                raise ModelError(each.name, f"does not go with {needed[0]}")
 
 
 def converted(value: Value, kind: type[T], key: str = "") -> T:
@@ -65,14 +81,24 @@ def converted(value: Value, kind: type[T], key: str = "") -> T:
 
 def _mistakes(found: Value, kind: object, key: str) -> Iterator[ModelError]:
     """The errors of what was ``found`` at a ``key``, of parts before the whole."""
-    if _fits(found, kind):
-        return
+    try:
+        msgspec.convert(found, kind)
+    except msgspec.ValidationError as error:
+        yield from _explained(found, kind, key, error.__cause__)
+
+
+def _explained(
+    found: Value, kind: object, key: str, cause: BaseException | None
+) -> Iterator[ModelError]:
+    """The errors of what is no ``kind``; ``cause`` is that of a check of several keys."""
     at = _alternative(kind, found)
     if isinstance(found, list) and get_origin(at) is tuple:
         for i, each in enumerate(found):
             yield from _mistakes(each, get_args(at)[0], f"{key}[{i}]")
     elif isinstance(found, Mapping) and at is not None:
         yield from _mistakes_of_keys(found, at, f"{key}." if key else "")
+    if isinstance(cause, ModelError):
+        yield ModelError(f"{key}.{cause.key}".removeprefix("."), cause.problem)
     wanted = _expected(kind)
     if isinstance(found, float | int) and not abs(found) <= LARGEST:
         wanted = f"a number of at most {LARGEST:g}"
@@ -123,14 +149,6 @@ def _alternative(kind: object, found: Value) -> Any:  # noqa: ANN401 (a type, as
     wanted = tuple if isinstance(found, list) else dict
     containers = [each for each in _alternatives(kind) if get_origin(each) is wanted]
     return next(iter(containers or _structs(kind)), None)
-
-
-def _fits(value: Value, kind: Any) -> bool:  # noqa: ANN401 (a type, as of a hint)
-    try:
-        msgspec.convert(value, kind)
-    except msgspec.ValidationError:
-        return False
-    return True
 
 
 def _expected(kind: object) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Keys, Value, check_names, finite, vector
+from impact_observer.model.document import Value, check_names, finite, vector
 from impact_observer.model.files_beside import (
     TIME,
     load_matrix,
@@ -36,7 +36,7 @@ from impact_observer.model.schema import (
     Ground,
     MatrixContact,
     MatrixModel,
-    Periodic,
+    Rate,
     SampledForces,
     SmoothForcing,
     StopKeys,
@@ -111,7 +111,7 @@ class LinearFile:
         for k, wave in enumerate(given.harmonics):
             self._note_frequency(f"forcing-frequency.{k + 1}", ("forcing", "harmonics", k), wave)
         squares = [
-            (each.omega(key), each.phase, vector(f"{key}.amplitude", each.amplitude, n))
+            (each.omega, each.phase, vector(f"{key}.amplitude", each.amplitude, n))
             for key, each in _keyed("forcing.squares", given.squares)
         ]
         forcing = replace(
@@ -156,10 +156,8 @@ class LinearFile:
         for i, (key, stop) in enumerate(_keyed("stops", model.stops)):
             sign = -1.0 if stop.side == "above" else 1.0
             if stop.between is not None:
-                _check_form(key, stop, ("between", "gap"))
                 row, gap = _across(axes, f"{key}.between", stop.between), stop.gap
             else:
-                _check_form(key, stop, ("body", "limit", "side"), ("ground",))
                 axis = _row(bodies, f"{key}.body", str(stop.body))
                 row = sign * (axis - _row(grounds, f"{key}.ground", stop.ground or GROUND))
                 gap = None if stop.limit is None else -sign * stop.limit
@@ -183,15 +181,12 @@ class LinearFile:
             path: Place = ("forces", i)
             e, phase = _row(bodies, f"{key}.body", force.body), force.phase or 0.0
             if force.input is not None:
-                _check_form(key, force, ("input",))
                 self._add_input(force.input, e)
             elif force.constant is not None:
-                _check_form(key, force, ("constant",))
                 constant += force.constant * e
                 constants.append(((*path, "constant"), force.body, force.constant))
             else:
-                _check_form(key, force, ("amplitude",), ("frequency", "hertz", "phase", "shape"))
-                size, omega = force.amplitude or 0.0, force.omega(key)
+                size, omega = force.amplitude or 0.0, force.omega
                 if force.shape is not None:
                     squares.append((omega, phase, size * e))
                     continue
@@ -200,9 +195,7 @@ class LinearFile:
         total = dict(zip(bodies, constant.tolist(), strict=True))
         for path, name, value in constants:  # the others on the same body stay
             self._note(f"constant-force.{name}", path, 1.0, value - total[name])
-        if model.forcing is not None and model.forcing.sampled is None:
-            raise ModelError("forcing.sampled", "is missing")
-        sampled = _read_samples(model.forcing or SampledForces(), [*bodies], self._folder)
+        sampled = _read_samples(model.forcing, [*bodies], self._folder)
         return replace(
             _forcing(constant, waves, sampled),
             squares=SquareWaves.of_rows(squares) if squares else None,
@@ -212,7 +205,7 @@ class LinearFile:
         """Note where the number of a parameter stands."""
         self.places.append(ParameterPlace(name, path, slope, offset))
 
-    def _note_frequency(self, name: str, path: Place, wave: Periodic) -> None:
+    def _note_frequency(self, name: str, path: Place, wave: Rate) -> None:
         """Note a frequency in rad/s, which may stand there in Hz."""
         is_hertz = wave.hertz is not None
         key, slope = ("hertz", 1.0 / math.tau) if is_hertz else ("frequency", 1.0)
@@ -283,10 +276,8 @@ class LinearFile:
         for k, (key, ground) in enumerate(_keyed("grounds", given)):
             waves, table = ground.motion.harmonics, ground.motion.sampled
             written.append(msgspec.to_builtins(ground))
-            if (waves is None) == (table is None):
-                raise ModelError(f"{key}.motion", "expected one of harmonics, sampled")
-            for i, (place, wave) in enumerate(_keyed(f"{key}.motion.harmonics", waves or ())):
-                harmonics.append((k, wave.amplitude, wave.omega(place), wave.phase))
+            for i, wave in enumerate(waves or ()):
+                harmonics.append((k, wave.amplitude, wave.omega, wave.phase))
                 path = ("grounds", k, "motion", "harmonics", i)
                 self._note_wave(f"ground.{ground.name}.{i + 1}", path, wave)
             if table is not None:
@@ -337,18 +328,6 @@ def _labels(pairs: Iterable[Sequence[str]]) -> Iterator[str]:
         yield label if counts[label] == 1 else f"{label}#{counts[label]}"
 
 
-def _check_form(
-    key: str, given: Keys, wanted: tuple[str, ...], optional: tuple[str, ...] = ()
-) -> None:
-    """Raise ModelError unless ``given`` has the ``wanted`` keys, and none of another form."""
-    for field in msgspec.structs.fields(given):
-        name, is_given = field.name, getattr(given, field.name) is not None
-        if name in wanted and not is_given:
-            raise ModelError(f"{key}.{name}", "is missing")
-        if is_given and not field.required and name not in (*wanted, *optional):
-            raise ModelError(f"{key}.{name}", f"does not go with {wanted[0]}")
-
-
 def smooth_forcing(
     given: SmoothForcing, coordinates: Sequence[str], folder: Path | None, meaning: str = ""
 ) -> Forcing:
@@ -362,7 +341,7 @@ def smooth_forcing(
     n = len(coordinates)
     waves = [
         (
-            each.omega(key),
+            each.omega,
             vector(f"{key}.cosine", each.cosine, n, meaning),
             vector(f"{key}.sine", each.sine, n, meaning),
         )
@@ -389,11 +368,8 @@ def _read_samples(
     """The samples of the key ``forcing``, in the order of ``coordinates``; None without any."""
     given, hold, key = forcing.sampled, forcing.hold, "forcing.sampled"
     if given is None:
-        if hold is not None:
-            raise ModelError("forcing.hold", "stands without sampled")
         return None
-    if hold is None:
-        raise ModelError("forcing.hold", "is missing; expected previous or linear")
+    assert hold is not None, "checked by the schema"
     if isinstance(given, TableKeys):
         shape = rows, columns = len(given.time), len(coordinates)
         wanted = f"{rows} rows, one an instant, of {columns} numbers"

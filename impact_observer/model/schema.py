@@ -66,25 +66,34 @@ class Common(Keys):
     sensors: dict[str, ContactSensor | Literal["none"]] = field(default_factory=dict)
 
 
-class Periodic(Keys):
-    """What has a frequency, in rad/s or in Hz."""
+class Rate(Keys):
+    """A frequency, in rad/s or in Hz."""
 
     frequency: Positive | None = None
     hertz: Positive | None = None
 
-    def omega(self, key: str) -> float:
+    @property
+    def omega(self) -> float:
         """The angular frequency, rad/s.
 
         Raises:
-            ModelError: both keys or neither; ``key`` is that of the mapping.
+            ModelError: both keys or neither.
         """
         if self.frequency is not None and self.hertz is not None:
-            raise ModelError(f"{key}.hertz", "stands beside frequency; write one of them")
+            raise ModelError("hertz", "stands beside frequency; write one of them")
         if self.hertz is not None:
             return math.tau * self.hertz
         if self.frequency is None:
-            raise ModelError(f"{key}.frequency", "is missing")
+            raise ModelError("frequency", "is missing")
         return self.frequency
+
+
+class Periodic(Rate):
+    """What needs a frequency."""
+
+    def __post_init__(self) -> None:
+        """Check that there is one frequency."""
+        _ = self.omega
 
 
 class Wave(Periodic, kw_only=True):
@@ -99,6 +108,10 @@ class MotionKeys(Keys):
 
     harmonics: tuple[Wave, ...] | None = None
     sampled: File | None = None
+
+    def __post_init__(self) -> None:
+        """Check that there is one of both."""
+        self.check_form(("harmonics",) if self.sampled is None else ("sampled",))
 
 
 class Ground(Keys):
@@ -120,6 +133,12 @@ class SampledForces(Keys):
 
     sampled: File | TableKeys | None = None
     hold: Literal["previous", "linear"] | None = None
+
+    def __post_init__(self) -> None:
+        """Check that samples have a hold, and a hold samples."""
+        if (self.sampled is None) != (self.hold is None):
+            missing = "sampled" if self.sampled is None else "hold"
+            raise ModelError(missing, "is missing; expected both sampled and hold")
 
 
 class Linear(Common):
@@ -144,7 +163,7 @@ class Spring(Keys):
     damping: NotNegative | None = None
 
 
-class Force(Periodic, kw_only=True):
+class Force(Rate, kw_only=True):
     """A force on a body: one constant, wave, square wave or live input."""
 
     body: Name
@@ -153,6 +172,16 @@ class Force(Periodic, kw_only=True):
     phase: Number | None = None
     shape: Literal["square"] | None = None
     input: Name | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the keys are those of one form."""
+        if self.input is not None:
+            self.check_form(("input",))
+        elif self.constant is not None:
+            self.check_form(("constant",))
+        else:
+            self.check_form(("amplitude",), ("frequency", "hertz", "phase", "shape"))
+            _ = self.omega
 
 
 class StopKeys(Keys):
@@ -171,6 +200,13 @@ class StopKeys(Keys):
     between: Pair | None = None
     gap: Number | None = None
 
+    def __post_init__(self) -> None:
+        """Check that the keys are those of one form."""
+        if self.between is not None:
+            self.check_form(("between", "gap"))
+        else:
+            self.check_form(("body", "limit", "side"), ("ground",))
+
 
 class ElementModel(Linear, kw_only=True):
     """A linear system as bodies, springs, forces and stops on one line."""
@@ -178,7 +214,7 @@ class ElementModel(Linear, kw_only=True):
     bodies: Annotated[tuple[Body, ...], Meta(min_length=1, max_length=MOST_BODIES)]
     springs: tuple[Spring, ...] = ()
     forces: tuple[Force, ...] = ()
-    forcing: SampledForces | None = None
+    forcing: SampledForces = SampledForces()
     stops: tuple[StopKeys, ...] = ()
 
 

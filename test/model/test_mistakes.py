@@ -53,7 +53,7 @@ name: wall, | name: ground, | grounds[1].name
 frequency: 3, | frequency: 0, | grounds[0].motion.harmonics[0].frequency
 {harmonics: [{a | {harmonic: [{a | grounds[0].motion.harmonic
 {harmonics: [{a | {live: true, harmonics: [{a | grounds[0].motion.live
-motion: {sampled | motion: {harmonics: [], sampled | grounds[1].motion
+motion: {sampled | motion: {harmonics: [], sampled | grounds[1].motion.harmonics
 \\n-1,0\\n0.5 | \\n1,0\\n0.5 | grounds[1].motion.sampled
 time,dis | time,mis | grounds[1].motion.sampled
 [table, a], s | [tabel, a], s | springs[0].between[0]
@@ -178,7 +178,7 @@ name: table, s | name: tale, s | forcing.grounds[0].name
 hold: linear | | forcing.hold
 {time: [0, 1], force: [[1, 2], [3, 4]]} | none.csv | forcing.sampled
 {time: [0, 1], force: [[1, 2], [3, 4]]} | 3 | forcing.sampled
-sampled: {time: [0, 1], force: [[1, 2], [3, 4]]} | | forcing.hold
+sampled: {time: [0, 1], force: [[1, 2], [3, 4]]} | | forcing.sampled
 [[1, 2], [3, 4]] | [[1, 2]] | forcing.sampled.force
 [[1, 2], [3, 4]] | [[1, 2], [1]] | forcing.sampled.force
 [0, 1], force | [0, x], force | forcing.sampled.time[1]
