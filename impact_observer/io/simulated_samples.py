@@ -166,7 +166,7 @@ class SampleSimulation:
                 motions.append((each.acceleration, rates + self._pull(instant)))
             for coefficients, motion in motions:
                 by_name = dict(zip(system.coordinates, motion, strict=True))
-                value += sum(factor * by_name[name] for name, factor in coefficients)
+                value += sum(factor * by_name[name] for name, factor in coefficients.items())
             yield float(value)
 
     def _efforts(self, instant: int) -> dict[str, float]:

@@ -109,12 +109,13 @@ def _explained(
 def _mistakes_of_keys(found: Mapping[Any, Value], at: Any, prefix: str) -> Iterator[ModelError]:  # noqa: ANN401 (a type, as of a hint)
     """The errors of unknown and missing keys, then of the values."""
     is_struct = get_origin(at) is None
-    fields = {each.name: each for each in msgspec.structs.fields(at)} if is_struct else {}
+    fields = {each.encode_name: each for each in msgspec.structs.fields(at)} if is_struct else {}
     for name in found:
         if not isinstance(name, str):
             yield ModelError(f"{prefix}{name}", "is no text; expected a name")
         elif is_struct and name not in fields:
-            unknown = f"is not known here; expected one of {', '.join(fields)}"
+            known = ", ".join(filter(str.isprintable, fields))
+            unknown = f"is not known here; expected one of {known}"
             yield ModelError(f"{prefix}{name}", _WENT if _is_gone(prefix + name) else unknown)
     for name, each in fields.items():
         if each.required and name not in found:

@@ -126,6 +126,6 @@ def sensors_of(
 
 def _coefficients(given: Coefficients, system: System | Robot) -> Vector:
     found = np.zeros(system.n)
-    for name, value in given:
+    for name, value in given.items():
         found[system.coordinates.index(name)] += value
     return found
