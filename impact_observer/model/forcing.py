@@ -171,9 +171,7 @@ class Forcing:
         if sampled is not None:
             rate = sampled.derivative()
             jets = [sampled.jets, rate.jets, rate.derivative().jets]
-            terms = [
-                part @ T.T for part, T in zip(jets, (P, Q, R), strict=True) if part is not None
-            ]
+            terms = [part @ T.T for part, T in zip(jets, (P, Q, R), strict=True)]
             sampled = Samples.of_jets(sampled.time, np.sum(terms, axis=0))
         return Forcing(
             P @ self.constant,
@@ -220,11 +218,10 @@ def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Ve
 
     A cubic is nowhere larger than the sum of the sizes of its terms at the end of its interval.
     """
-    assert samples.jets is not None, "derived"
 
     def bounded(k: int, t: Vector) -> Vector:
         j = samples.index(t)
-        if k >= JETS or samples.jets is None:
+        if k >= JETS:
             return np.zeros(t.shape)
         last = samples.time.size - 1
         after = np.minimum(j + 1, last)
