@@ -400,21 +400,14 @@ def _clamped(key: str, table: Matrix) -> Samples:
 
 
 def matrix_form(system: System) -> dict[str, Value]:
-    """The keys of a model file from which ``system_of`` makes ``system``."""
+    """The keys of a model file from which a ``LinearFile`` makes ``system``."""
     grounds = None if system.frame is None else system.frame.grounds
-    contacts = list[dict[str, Value]]()
-    for i, contact in enumerate(system.contacts):
-        contacts.append(
-            {
-                "name": contact.name,
-                "direction": contact.direction.tolist(),
-                "gap": contact.gap,
-                "restitution": system.rebounds[i].written,
-            }
-        )
+    contacts = _rows(system.contact_names, direction=system.W.T, gap=system.q_r)
+    for i, contact in enumerate(contacts):
+        contact["restitution"] = system.rebounds[i].written
         if grounds is not None:
             moving = zip(grounds.names, grounds.factors[i].tolist(), strict=True)
-            contacts[-1]["motion"] = [{"ground": g, "factor": f} for g, f in moving if f]
+            contact["motion"] = [{"ground": g, "factor": f} for g, f in moving if f]
     form: dict[str, Value] = {
         "coordinates": list(system.coordinates),
         "mass": system.M.tolist(),
