@@ -2,6 +2,7 @@
 """Each mistake in a model file is one line that begins with the file and the key."""
 
 import pytest
+from mistakes import mistakes
 
 from impact_observer.errors import ModelError
 from impact_observer.model import parse_model
@@ -205,17 +206,6 @@ def test_a_text_that_is_no_model_is_one_line(text: str) -> None:
     """Also two documents, and lists in lists without an end."""
     with pytest.raises(ModelError, match=r"^rig\.yaml: .*\Z"):
         parse_model(text, "rig.yaml")
-
-
-def mistakes(text: str, table: str) -> list[tuple[str, str]]:
-    """The ``text`` with the mistake in each line of a ``table``: old, new, key of the error."""
-    found = []
-    for line in table.strip().splitlines():
-        old, new, key = (part.strip().replace("\\n", "\n") for part in line.split("|"))
-        old = old if old in text else old.replace("\n", "\\n")
-        assert text.count(old) == 1, line
-        found.append((text.replace(old, new), key))
-    return found
 
 
 @pytest.mark.parametrize(("text", "table"), [(ELEMENTS, IN_ELEMENTS), (MATRICES, IN_MATRICES)])
