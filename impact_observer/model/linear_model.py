@@ -144,8 +144,8 @@ class LinearFile:
         grounds = {GROUND: np.zeros(len(bodies)), **{name: bodies.pop(name) for name in moving}}
         axes = {**bodies, **grounds}
         by_ground = {kind: np.zeros((n, len(moving))) for kind in ("stiffness", "damping")}
-        for i, body in enumerate(model.bodies):
-            self._add_element("mass", body.name, body.mass, axes[body.name][:n], ("bodies", i))
+        for i, (body, row) in enumerate(zip(model.bodies, np.eye(n), strict=True)):
+            self._add_element("mass", body.name, body.mass, row, ("bodies", i))
         labels = _labels(spring.between for spring in model.springs)
         for i, (label, spring) in enumerate(zip(labels, model.springs, strict=True)):
             row = _across(axes, f"springs[{i}].between", spring.between)
@@ -154,18 +154,16 @@ class LinearFile:
                     self._add_element(kind, label, value, row[:n], ("springs", i))
                     by_ground[kind] -= value * np.outer(row[:n], row[n:])
         for i, (key, stop) in enumerate(_keyed("stops", model.stops)):
-            sign = -1.0 if stop.side == "above" else 1.0
             if stop.between is not None:
-                row, gap = _across(axes, f"{key}.between", stop.between), stop.gap
+                row, number, slope = _across(axes, f"{key}.between", stop.between), "gap", 1.0
             else:
-                axis = _row(bodies, f"{key}.body", str(stop.body))
-                row = sign * (axis - _row(grounds, f"{key}.ground", stop.ground or GROUND))
-                gap = None if stop.limit is None else -sign * stop.limit
-            assert gap is not None, "checked"
+                own = _row(bodies, f"{key}.body", str(stop.body))
+                ground = _row(grounds, f"{key}.ground", stop.ground or GROUND)
+                number, slope = "limit", 1.0 if stop.side == "above" else -1.0
+                row = slope * (ground - own)
+            gap = slope * getattr(stop, number)
             self._add_contact(("stops", i), stop, row[:n], gap, row[n:])
-            is_limit = stop.between is None
-            path = ("stops", i, "limit" if is_limit else "gap")
-            self._note(f"gap.{stop.name}", path, -sign if is_limit else 1.0)
+            self._note(f"gap.{stop.name}", ("stops", i, number), slope)
         total = {kind: np.zeros((n, n)) for kind in ("mass", "damping", "stiffness")}
         for each in self.elements:
             total[each.kind] += each.value * each.matrix
@@ -220,7 +218,7 @@ class LinearFile:
 
     def _add_element(self, kind: str, label: str, value: float, row: Vector, path: Place) -> None:
         self.elements.append(Element(kind, label, value, row))
-        self._note(f"{kind}.{label}", (*path, kind), 1.0 if value else 0.0)
+        self._note(f"{kind}.{label}", (*path, kind), 1.0 if value else 0.0)  # 0 is no parameter
 
     def _add_input(self, name: str, direction: Vector) -> None:
         self._inputs[name] = self._inputs.get(name, 0.0) + direction
