@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models with keys that went in 0.4.0: one line each; bags with them can still be read."""
+"""Bags whose models have keys that went in 0.4.0."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well parameters are known: what is read, what is written, and each mistake in one line."""
+"""How well parameters are known: what is read and written."""
 
 import numpy as np
 import pytest

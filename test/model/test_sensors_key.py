@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The key ``sensors`` of a model file: what is read and written, and what each mistake says."""
+"""The key ``sensors`` of a model file: what is read and written."""
 
 import numpy as np
 from systems import sample
