@@ -191,15 +191,15 @@ def shown(value: Value) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def vector(key: str, values: Sequence[float] | None, n: int, meaning: str = "") -> Vector:
-    """``n`` numbers, zeros where the key is absent, shape (n,); ``meaning`` is for errors.
+def vector(key: str, values: Sequence[float] | None, n: int) -> Vector:
+    """``n`` numbers, zeros where the key is absent, shape (n,).
 
     Raises:
         ModelError: another number of numbers.
     """
     if values is None:
         return np.zeros(n)
-    return finite(key, values, (n,), f"a list of {n} numbers{meaning}")
+    return finite(key, values, (n,), f"a list of {n} numbers")
 
 
 def finite(

@@ -327,11 +327,11 @@ def _labels(pairs: Iterable[Sequence[str]]) -> Iterator[str]:
 
 
 def smooth_forcing(
-    given: SmoothForcing, coordinates: Sequence[str], folder: Path | None, meaning: str = ""
+    given: SmoothForcing, coordinates: Sequence[str], folder: Path | None
 ) -> Forcing:
     """Constants, harmonics and samples of the forcing of ``coordinates``.
 
-    CSV files lie in ``folder``; ``meaning`` is that of ``vector``.
+    CSV files lie in ``folder``.
 
     Raises:
         ModelError: a value is wrong; the error names the key and the expected value.
@@ -340,12 +340,12 @@ def smooth_forcing(
     waves = [
         (
             each.omega,
-            vector(f"{key}.cosine", each.cosine, n, meaning),
-            vector(f"{key}.sine", each.sine, n, meaning),
+            vector(f"{key}.cosine", each.cosine, n),
+            vector(f"{key}.sine", each.sine, n),
         )
         for key, each in _keyed("forcing.harmonics", given.harmonics)
     ]
-    constant = vector("forcing.constant", given.constant, n, meaning)
+    constant = vector("forcing.constant", given.constant, n)
     return _forcing(constant, waves, _read_samples(given, coordinates, folder))
 
 

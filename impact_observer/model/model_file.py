@@ -38,7 +38,6 @@ from impact_observer.model.parameters_in_file import (
 )
 from impact_observer.model.robot_description import (
     RobotDescription,
-    one_of_each,
     places_in_robot,
     read_robot,
 )
@@ -318,7 +317,7 @@ def _read_robot(plain: PlainDocument, folder: Path | None) -> Model:
             raise ModelError(key, f"{name!r} is no parameter; expected some of {wanted}")
     return Model(
         None,
-        *_state(given.initial_state, robot.n, one_of_each(robot.joints, robot.urdf)),
+        *_state(given.initial_state, robot.n),
         given.provenance,
         form=form,
         places=places,
@@ -333,11 +332,11 @@ def _own_keys(document: Mapping[str, Value]) -> dict[str, Any]:
     return {k: value for k, value in document.items() if k not in Common.__struct_fields__}
 
 
-def _state(given: State | None, n: int, meaning: str = "") -> tuple[Vector | None, Vector | None]:
+def _state(given: State | None, n: int) -> tuple[Vector | None, Vector | None]:
     """Positions and velocities at the epoch of ``n`` coordinates, shape (n,) each, if any."""
     if given is None:
         return None, None
-    wanted = f"a list of {n} numbers{meaning}"
+    wanted = f"a list of {n} numbers, one a coordinate"
     return (
         finite("initial_state.position", given.position, (n,), wanted, LARGEST_STATE),
         finite("initial_state.velocity", given.velocity, (n,), wanted, LARGEST_STATE),

@@ -2,7 +2,7 @@
 """A robot in a model file: a URDF, its joints and its contacts with fixed planes."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -294,13 +294,6 @@ class RobotDescription:
         return ""
 
 
-def one_of_each(joints: Sequence[str], urdf: Urdf | None) -> str:
-    """The words for one number of each of the ``joints``, after the number of numbers."""
-    left = [] if urdf is None else urdf.movable_beside(joints)
-    others = f", without {', '.join(left)} of {urdf.source}" if urdf is not None and left else ""
-    return f", one of each in joints: {', '.join(joints)}{others}"
-
-
 def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
     """The robot in a model file; ``folder`` is where its other files lie.
 
@@ -311,20 +304,18 @@ def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
     noise = model.torque_deviation
     if isinstance(noise, float):
         noise = dict.fromkeys(joints, noise)
-    forcing = smooth_forcing(model.forcing, joints, folder, one_of_each(joints, urdf))
+    forcing = smooth_forcing(model.forcing, joints, folder)
     return RobotDescription(
         name=model.name,
         joints=joints,
         urdf=urdf,
         topic=model.urdf.topic if isinstance(model.urdf, TopicKeys) else "",
         held=model.held,
-        own_damping=_of_joints("damping", model.damping, joints, urdf),
-        rotor_inertia=_of_joints("rotor_inertia", model.rotor_inertia, joints, urdf),
+        own_damping=_of_joints("damping", model.damping, joints),
+        rotor_inertia=_of_joints("rotor_inertia", model.rotor_inertia, joints),
         contacts=tuple(_read_contact(f"contacts[{i}]", c) for i, c in enumerate(model.contacts)),
         forces=None if model.forces is None else (model.forces.topic, "effort"),
-        torque_deviation=None
-        if noise is None
-        else _of_joints("torque_deviation", noise, joints, urdf),
+        torque_deviation=None if noise is None else _of_joints("torque_deviation", noise, joints),
         gravity=vector("gravity", model.gravity, 3),
         forcing=forcing.checked(len(joints)),
     )
@@ -354,15 +345,11 @@ def _urdf(given: str | TopicKeys, folder: Path | None) -> Urdf | None:
     return Urdf(read_text(file_beside("urdf", given, folder)), given)
 
 
-def _of_joints(
-    key: str, given: Mapping[str, float], joints: tuple[str, ...], urdf: Urdf | None
-) -> Vector:
+def _of_joints(key: str, given: Mapping[str, float], joints: tuple[str, ...]) -> Vector:
     """A number of each joint, zero where a joint has none, shape (n,)."""
     for name in given:
         if name not in joints:
             wanted = ", ".join(joints)
-            if urdf is not None and name in urdf.movable_beside(joints):
-                wanted += f", or {name} in joints, without which it is held"
             raise ModelError(f"{key}.{name}", f"is none of joints; expected some of {wanted}")
     return frozen([given.get(name, 0.0) for name in joints])
 
