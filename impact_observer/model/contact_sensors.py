@@ -33,8 +33,8 @@ class ContactSensor(Keys, frozen=True):
 
     def given(self) -> dict[str, float]:
         """The values that are set, by name."""
-        given: dict[str, float] = msgspec.to_builtins(self)
-        return given
+        named = msgspec.structs.asdict(self)
+        return {name: float(value) for name, value in named.items() if value is not None}
 
 
 ContactSensors: TypeAlias = Mapping[str, ContactSensor | None]
