@@ -180,13 +180,9 @@ def _from_phases(
         for each in (begun[0], *sorted(begun[1:], key=lambda fit: -fit.log_density)[:2])
     )
     # a periodic motion may have several phases: the one from the given value is preferred
-    best = max(others, key=_density, default=given)
-    is_better = best.is_settled and best.log_density > given.log_density + _WORTH
-    return best if is_better or (best.is_settled and not given.is_settled) else given
-
-
-def _density(fit: MotionFit) -> tuple[bool, float]:
-    return fit.is_settled, fit.log_density
+    best = max(others, key=MotionFit.order, default=given)
+    is_better = best.order()[:2] >= given.order()[:2] and best.worth > given.worth + _WORTH
+    return best if is_better or best.order()[:2] > given.order()[:2] else given
 
 
 def _explained(fit: MotionFit, reported: Moments, options: Options) -> Explanation:

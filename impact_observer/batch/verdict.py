@@ -22,8 +22,6 @@ _OF_FLIGHTS = 0.005
 """Part of the mean flight above which no error of stamps is one of a clock."""
 _LAGS = 10
 """Most lags of the tested autocorrelations."""
-_UNREACHED = 0.1
-"""Part of the impacts above which those that a motion does not reach speak against a model."""
 _OUTLIERS = 1 / 3
 """Part of the events above which rejected and inserted ones speak against a model."""
 
@@ -99,11 +97,9 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
         yield f"stamps differ by more than the declared clock error (chance {found.size:.1g})"
     if found.white < UNLIKELY:
         yield f"what is left at successive stamps is correlated (chance {found.white:.1g})"
-    lost = int(np.sum(~fit.motion.is_regular[moments.row_moment]))
-    if lost > 1 + _UNREACHED * moments.row_moment.size:  # the first may be the start
-        yield f"the motion does not reach {lost} of {moments.row_moment.size} impacts"
-    speeds = fit.motion.speed
-    if speeds.size and float(np.median(speeds)) > 0:
+    if fit.is_astray and fit.unreached:
+        yield f"the motion does not reach {fit.unreached} of {fit.residuals.size} impacts"
+    if fit.is_behind_stops:
         yield "contacts open where they should close: the motion is on the other side of a stop"
     yield from _of_sensors(fit)
     changed = int(np.sum(fit.problem.errors.has_sensor[fit.problem.missed]))
