@@ -43,6 +43,10 @@ _UNREACHED = 0.1
 """Part of the measured gaps above which a motion that does not reach them is a wrong one."""
 LOST = 0.1
 """Error of accelerations from which on a motion says nothing of single events."""
+_FARTHEST = 8.0
+"""Deviations of a given value within which a parameter is searched."""
+_FAR = 30.0
+"""Deviations from which on an error of the model is not taken for none."""
 _FIRST = 2
 """Linearisations of a motion that is far off."""
 _LATE = 10
@@ -104,6 +108,16 @@ class BatchProblem:
             object.__setattr__(self, "clock", float(np.max(self.errors.clock, initial=0.0)))
         if self.clock is not None:
             object.__setattr__(self, "clock", max(self.clock, ROUNDED))
+
+    @property
+    def searched(self) -> tuple[Vector, Vector]:
+        """Bounds of the parameters in a search, shape (p,) each."""
+        low, high = self.family.bounds
+        reach = _FARTHEST * np.linalg.norm(self.theta, axis=1)
+        return (
+            np.maximum(low, self.family.nominal - reach),
+            np.minimum(high, self.family.nominal + reach),
+        )
 
     def stamp_deviations(self, sizes: NoiseSizes) -> Vector:
         """Standard deviations of the stamps of all measured gaps, shape (R,), s."""
@@ -372,7 +386,7 @@ def _settled(
 
     The size of the clock's noise is ``clock``, or is found.
     """
-    (low, high), worth = problem.family.bounds, -np.inf
+    (low, high), worth = problem.searched, -np.inf
     x, theta, sizes, inflation, of_samples, is_near, is_late = begun
     if inflation is None:
         inflation = np.ones(problem.moments.row_moment.size)
@@ -391,6 +405,9 @@ def _settled(
         is_late = is_late or number >= _LATE
         likeliest = fit.density.likeliest(sizes, clock, is_first=is_first, is_late=is_late)
         fit = fit if likeliest == sizes else replace(fit, sizes=likeliest)
+        if sizes.model and not likeliest.model and fit.distance > _FAR:
+            kept = fit.density.likeliest(sizes, clock, is_first=is_first, is_late=True)
+            fit = replace(fit, sizes=kept)
         were, sizes = sizes, fit.sizes
         size = ", ".join(f"{each:.1g}" for each in sizes)
         show(f"motion {number + 1} (clock, rebounds, model: {size})")
