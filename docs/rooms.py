@@ -26,13 +26,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (Room("plant", "event-driven plant, sensor and its faults"),),
     (Room("bank", "Kalman filter of impact times: hypotheses as arrays"),),
     (Room("observer", "observer, timeline with roll-back, verdicts, the laws"),),
-    (
-        Room(
-            "io",
-            "messages, bags in and out, tables and sounds in",
-            "rosbags, mcap, pandas, soundfile",
-        ),
-    ),
+    (Room("io", "messages, bags in and out, tables and sounds in", "rosbags, mcap, soundfile"),),
     (
         Room("detector", "impacts from switches, accelerations, forces", "msgspec"),
         Room("draw", "pictures and tables of text", "matplotlib"),
@@ -44,7 +38,11 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     ),
     (
         Room("recording", "from a recording to numbers, a table of impacts and a picture"),
-        Room("sweep", "Monte Carlo over laws, starts, faults, wrong models", "joblib, pyarrow"),
+        Room(
+            "sweep",
+            "Monte Carlo over laws, starts, faults, wrong models",
+            "joblib, pandas, pyarrow",
+        ),
     ),
     (Room("ros", "nodes, recorder, player, monitor, watch", "rclpy"),),
     (Room("cli", "one short file per subcommand", "rich"),),

@@ -36,5 +36,6 @@ SENSOR_FAULTS = (
 )
 """The fields of ``plant.SensorModel`` in their order; the defaults are an ideal sensor."""
 
-SAMPLING = (Option("measurement_rate", 100.0, "rate of each sensor", "Hz", 0.001, 1e5),)
-"""How sensors beside the impacts are simulated: the fields of ``io.Sampling`` in their order."""
+USUAL_RATE = 100.0
+"""Of each sensor beside the impacts, Hz."""
+MEASUREMENT_RATE = Option("measurement_rate", USUAL_RATE, "rate of each sensor", "Hz", 0.001, 1e5)

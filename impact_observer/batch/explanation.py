@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The search for the account of a recording, and the motion that explains the account best.
 
-All events as reported come first. Where no motion is found by which single events can be judged, a
-filter goes through the recording, with the given parameters and then with the fitted ones. Each
-account is revised by its own motion: a stamp far off is spurious, and a motion through a stop has
-missed an impact.
+All events as reported come first. Where no motion explains these events, and no revision of their
+account ends with a motion that fits, a filter goes through the recording, with the given
+parameters and then with the fitted ones. Each account is revised by its own motion: a stamp far
+off is spurious, and a motion through a stop has missed an impact.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from impact_observer.batch.moments import Moment, Moments
 from impact_observer.batch.motion_fit import LOST, BatchProblem, MotionFit, fitted
 from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.revision import revised
-from impact_observer.batch.verdict import FitVerdict, verdict_on
+from impact_observer.batch.verdict import OUTLIERS, FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError
 from impact_observer.model.free_parameters import is_phase
 from impact_observer.options import Options
@@ -60,7 +60,8 @@ class Explanation:
     @property
     def is_lost(self) -> bool:
         """Whether no motion was found by which single events can be judged."""
-        return self.verdict.model > LOST
+        verdict = self.verdict
+        return verdict.model > LOST or verdict.outliers > OUTLIERS or self.fit.is_astray
 
     @property
     def missed(self) -> int:
@@ -72,6 +73,8 @@ class Explanation:
         """Whether the account is likelier than ``other``: by more if it changes more events."""
         if self.verdict.fits != other.verdict.fits:
             return self.verdict.fits
+        if self.is_lost != other.is_lost:
+            return other.is_lost
         more = self.missed - other.missed
         return self.evidence > other.evidence + _WORTH * max(more, 0)
 
@@ -118,7 +121,8 @@ def explanation(
             continue
         if best is None or found.is_better_than(best):
             best = found
-        if best.verdict.fits or not best.is_lost:
+        is_as_reported = best.fit.problem.moments.each == reported.each
+        if best.verdict.fits or (is_as_reported and not best.is_lost):
             break
     if best is None:
         raise DynamicsError("no motion explains the impacts")
@@ -180,21 +184,17 @@ def _from_phases(
         for each in (begun[0], *sorted(begun[1:], key=lambda fit: -fit.log_density)[:2])
     )
     # a periodic motion may have several phases: the one from the given value is preferred
-    best = max(others, key=_density, default=given)
-    is_better = best.is_settled and best.log_density > given.log_density + _WORTH
-    return best if is_better or (best.is_settled and not given.is_settled) else given
-
-
-def _density(fit: MotionFit) -> tuple[bool, float]:
-    return fit.is_settled, fit.log_density
+    best = max(others, key=MotionFit.order, default=given)
+    is_better = best.order()[:2] >= given.order()[:2] and best.worth > given.worth + _WORTH
+    return best if is_better or best.order()[:2] > given.order()[:2] else given
 
 
 def _explained(fit: MotionFit, reported: Moments, options: Options) -> Explanation:
     """Return the motion with its evidence and verdict."""
     moments = fit.problem.moments
-    rejected = reported.row_moment.size - moments.row_moment.size
+    rejected = max(reported.row_moment.size - moments.row_moment.size, 0)
     flight = float(np.mean(reported.flights)) or 1.0
     missed = np.maximum(fit.problem.errors.missed[fit.problem.missed], _LEAST)
     evidence = fit.log_density + float(np.sum(np.log(missed)))
-    evidence += max(rejected, 0) * log(max(options.spurious, _LEAST) / flight)
-    return Explanation(fit, verdict_on(fit), evidence)
+    evidence += rejected * log(max(options.spurious, _LEAST) / flight)
+    return Explanation(fit, verdict_on(fit, rejected), evidence)

@@ -316,8 +316,8 @@ def model_text(
     }
     if "provenance" in document:
         provenance["before"] = document["provenance"]
-    plain = without_deviations(document).document
-    entries = changes(plain, found.family, found.values)
+    plain, places = without_deviations(document).document, parse_model(*given).places
+    entries = changes(plain, places, found.family, found.values)
     before = document.get(KEY)
     known = before and ParameterUncertainty(tuple(before["names"]), before["covariance"])
     if uncertainty := _written_uncertainty(found, known):

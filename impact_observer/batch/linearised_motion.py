@@ -41,6 +41,8 @@ class LinearisedMotion(NamedTuple):
         Gamma: derivatives of the next state by the parameters, shape (K, 2n, p).
         defect: where flights end minus ``x`` there, shape (K, 2n).
         kick: what a rebound that is faster by the speed of approach adds, shape (K + 1, 2n).
+        kick_by_after: derivatives of ``kick`` by ``after``, shape (K + 1, 2n, 2n).
+        kick_by_theta: derivatives of ``kick`` by the parameters, shape (K + 1, 2n, p).
         late: own instants minus stamps, plus latencies, shape (R,), s.
         late_by_x: derivatives of ``late`` by ``x``, shape (R, 2n).
         late_by_theta: derivatives of ``late`` by the parameters, shape (R, p).
@@ -58,6 +60,8 @@ class LinearisedMotion(NamedTuple):
     Gamma: Array
     defect: Matrix
     kick: Matrix
+    kick_by_after: Array
+    kick_by_theta: Array
     late: Vector
     late_by_x: Matrix
     late_by_theta: Matrix
@@ -73,9 +77,16 @@ class LinearisedMotion(NamedTuple):
 
 
 def linearised(
-    tangent: Tangent, moments: Moments, x: Matrix, errors: ContactErrors
+    tangent: Tangent,
+    moments: Moments,
+    x: Matrix,
+    errors: ContactErrors,
+    *,
+    is_scattered: bool = False,
 ) -> LinearisedMotion:
     """Linearise the motion about states at the nodes, shape (K + 1, 2n).
+
+    Rebounds of a motion that ``is_scattered`` have chances of their own.
 
     Raises:
         DynamicsError: the forcing has no sample at a moment.
@@ -90,6 +101,8 @@ def linearised(
         Gamma=np.empty((K, d, p)),
         defect=np.empty((K, d)),
         kick=np.zeros((K + 1, d)),
+        kick_by_after=np.zeros((K + 1, d, d)),
+        kick_by_theta=np.zeros((K + 1, d, p)),
         late=np.zeros(R),
         late_by_x=np.zeros((R, d)),
         late_by_theta=np.zeros((R, p)),
@@ -108,10 +121,41 @@ def linearised(
         maps, begin = tangent.flights(starts, moments.flights[own], held), motion.after[own]
         motion.Phi[own], motion.Gamma[own] = maps.Phi, maps.Gamma(begin)
         motion.defect[own] = maps.of(begin) - x[own + 1]
+    if is_scattered:
+        _scatter(motion, tangent, moments, usual)
     latency, slopes = errors.late(tangent.family, tangent.theta)
     motion.late[:] += latency[moments.row_contact]
     motion.late_by_theta[:] += slopes[moments.row_contact]
     return motion
+
+
+def _scatter(motion: LinearisedMotion, tangent: Tangent, moments: Moments, usual: float) -> None:
+    """Let each rebound have a speed of its own, which the next instant tells.
+
+    An instant depends on what was known before, so its row is linearised where the flight ends
+    without the chance of the rebound; about the state that the instant has told, the row would
+    depend on the chance, and innovations times such rows are not zero in the mean. What follows
+    the instant depends on the rebound as it was.
+    """
+    predicted, flown = motion.x[1:] + motion.defect, motion.Phi @ motion.kick[:-1, :, None]
+    for switching, own in grouped([one.switching for one in moments.each]).items():
+        if not switching.hit:
+            continue
+        gaps = tangent.gaps(switching.hit)
+        instants = _own_instants(tangent, moments, own, predicted[own], switching, usual)
+        measured = np.array([moments.each[k].is_measured for k in own.tolist()])
+        good = np.flatnonzero(measured & instants.is_regular & motion.is_regular[own])
+        rows = moments.first_row[own][good]
+        for h in range(len(switching.hit)):
+            by_x, by_theta = instants.row_slopes(gaps, h)
+            motion.late_by_x[rows + h], motion.late_by_theta[rows + h] = by_x[good], by_theta[good]
+    size = np.sum(np.square(flown), axis=(1, 2))
+    chance = -np.einsum("kio,ki->k", flown, motion.defect) / np.where(size > 0, size, 1.0)
+    scaled = chance[:, None, None] * motion.Phi
+    by_x = scaled @ motion.kick_by_after[:-1] @ np.linalg.pinv(motion.Phi)
+    by_theta = scaled @ motion.kick_by_theta[:-1] - by_x @ motion.Gamma
+    motion.jump_by_theta[1:] += motion.jump[1:] @ by_theta
+    motion.jump[1:] += motion.jump[1:] @ by_x
 
 
 def usual_speed(tangent: Tangent, moments: Moments, x: Matrix) -> float:
@@ -123,6 +167,72 @@ def usual_speed(tangent: Tangent, moments: Moments, x: Matrix) -> float:
     return max(float(np.median(speeds)) if speeds.size else 0.0, 1e-6 * least)
 
 
+class _OwnInstants(NamedTuple):
+    """Instants at which the gaps of moments are zero, from states at the stamps.
+
+    Attributes:
+        late: after the stamps, shape (k,), s.
+        is_regular: whether the instants exist, shape (k,).
+        to: flights from the stamps to the instants.
+        moved: derivatives of the states there by the parameters at fixed duration.
+        at: the instants.
+        there: states at the instants, shape (k, 2n).
+        rate: of the states there, shape (k, 2n).
+        speeds: of the gaps, shape (k, gaps), m/s.
+        value: of the gaps, shape (k, gaps), m.
+        by_theta: derivatives of the gaps by the parameters, shape (k, gaps, p).
+    """
+
+    late: Vector
+    is_regular: NDArray[np.bool_]
+    to: Maps
+    moved: Array
+    at: list[Elapsed]
+    there: Matrix
+    rate: Matrix
+    speeds: Matrix
+    value: Matrix
+    by_theta: Array
+
+    def row_slopes(self, gaps: GuardRows, h: int) -> tuple[Array, Array]:
+        """Derivatives of the instant of gap ``h`` by states and parameters."""
+        speed = self.speeds[:, h, None]
+        by = np.einsum("i,kip->kp", gaps.by_x[h], self.moved) + self.by_theta[:, h]
+        return -(gaps.by_x[h] @ self.to.Phi) / speed, -by / speed
+
+
+def _own_instants(  # noqa: PLR0917
+    tangent: Tangent,
+    moments: Moments,
+    own: Indices,
+    x: Matrix,
+    switching: MomentSwitching,
+    usual: float,
+) -> _OwnInstants:
+    """Return the own instants of the moments ``own``, from states ``x`` at the stamps."""
+    t, before = [moments.each[k].t for k in own.tolist()], switching.before
+    gaps = tangent.gaps(switching.hit)
+    late, is_regular = _first_late(tangent, moments, own, x, gaps, before, usual)
+
+    def at_own_instant(late: Vector) -> _OwnInstants:
+        to = tangent.flights(t, late, before)
+        at = [each + by for each, by in zip(t, late.tolist(), strict=True)]
+        there = to.of(x)
+        rate = tangent.rates(at, there, before)[0]
+        speeds = rate @ gaps.by_x.T
+        speeds = np.where(is_regular[:, None], speeds, -np.maximum(np.abs(speeds), usual))
+        value, by_theta = gaps.of(there), gaps.Theta(there)
+        return _OwnInstants(
+            late, is_regular, to, to.Gamma(x), at, there, rate, speeds, value, by_theta
+        )
+
+    for _ in range(_NEWTON):
+        seen = at_own_instant(late)
+        by = seen.value.mean(axis=1) / seen.speeds.mean(axis=1)
+        late = np.where(is_regular, late - by, 0.0)
+    return at_own_instant(late)
+
+
 def _jump(  # noqa: PLR0917
     motion: LinearisedMotion,
     tangent: Tangent,
@@ -132,36 +242,25 @@ def _jump(  # noqa: PLR0917
     usual: float,
 ) -> None:
     """Fill in the jumps of the moments ``own``, at which the same contacts switch."""
-    hit, pressed, before, held = switching
-    t, n, nodes = [moments.each[k].t for k in own.tolist()], tangent.n, own + 1
-    x, gaps = motion.x[nodes], tangent.gaps(hit)
+    hit, pressed, _, held = switching
+    n, nodes, gaps = tangent.n, own + 1, tangent.gaps(hit)
     guard = gaps.by_x.mean(axis=0)
-    late, is_regular = _first_late(tangent, moments, own, x, gaps, before, usual)
+    instants = _own_instants(tangent, moments, own, motion.x[nodes], switching, usual)
+    late, is_regular, to, moved, at, there, rate, speeds, value, by_theta = instants
     motion.is_regular[own] = is_regular
-
-    def at_own_instant(late: Vector) -> tuple[Maps, list[Elapsed], Matrix, Matrix, Matrix, Matrix]:
-        """Return flights to the instants, these, states and rates there, speeds and gaps."""
-        to = tangent.flights(t, late, before)
-        at = [each + by for each, by in zip(t, late.tolist(), strict=True)]
-        there = to.of(x)
-        rate = tangent.rates(at, there, before)[0]
-        speeds = rate @ gaps.by_x.T
-        speeds = np.where(is_regular[:, None], speeds, -np.maximum(np.abs(speeds), usual))
-        return to, at, there, rate, speeds, gaps.of(there)
-
-    for _ in range(_NEWTON):
-        *_, speeds, value = at_own_instant(late)
-        late = np.where(is_regular, late - value.mean(axis=1) / speeds.mean(axis=1), 0.0)
-    to, at, there, rate, speeds, value = at_own_instant(late)
-    speed = speeds.mean(axis=1)
-    moved, by_theta = to.Gamma(x), gaps.Theta(there)
-    does = is_regular[:, None]
+    speed, does = speeds.mean(axis=1), is_regular[:, None]
     late_x = np.where(does, -(guard @ to.Phi) / speed[:, None], 0.0)
     guard_theta = np.einsum("i,kip->kp", guard, moved) + by_theta.mean(axis=1)
     late_theta = np.where(does, -guard_theta / speed[:, None], 0.0)
     motion.own_late[own], motion.own_late_by_x[own] = late, late_x
-    jump = tangent.impact(there, pressed)
-    after, Phi, Gamma = jump
+    after, Phi, Gamma = tangent.impact(there, pressed)
+    W, stops = tangent.system.W[:, list(pressed)], tangent.stops(pressed)
+    approach, departure = np.abs(there[:, n:] @ W), np.abs(after[:, n:] @ W)
+    motion.kick[nodes, n:] = approach @ stops.T
+    restitution = departure / np.where(approach > 0, approach, 1.0)
+    fast = np.where(restitution > 0, 1.0 / np.where(restitution > 0, restitution, 1.0), 0.0)
+    motion.kick_by_after[nodes, n:, n:] = np.einsum("ik,mk,jk->mij", stops, fast, W)
+    motion.kick_by_theta[nodes] = -motion.kick_by_after[nodes] @ Gamma
     if held:
         after, still, still_theta = tangent.rest(after, held)
         Phi, Gamma = still @ Phi, still @ Gamma + still_theta
@@ -175,17 +274,14 @@ def _jump(  # noqa: PLR0917
     motion.jump[nodes] = back.Phi @ (Phi - gained * late_x[:, None])
     motion.jump_by_theta[nodes] = back.Phi @ (Gamma - gained * late_theta[:, None])
     motion.jump_by_theta[nodes] += back.Gamma(after)
-    approach = np.abs(there[:, n:] @ tangent.system.W[:, list(pressed)])
-    motion.kick[nodes, n:] = approach @ tangent.stops(pressed).T
     is_measured = np.array([moments.each[k].is_measured for k in own.tolist()])
     rows, nodes = moments.first_row[own][is_measured], np.flatnonzero(is_measured)
     for h in range(len(hit)):
         of_one = speeds[nodes, h]
         motion.speed[rows + h] = of_one
         motion.late[rows + h] = late[nodes] - value[nodes, h] / of_one
-        motion.late_by_x[rows + h] = -(gaps.by_x[h] @ to.Phi[nodes]) / of_one[:, None]
-        by = np.einsum("i,kip->kp", gaps.by_x[h], moved[nodes]) + by_theta[nodes, h]
-        motion.late_by_theta[rows + h] = -by / of_one[:, None]
+        by_x, by = instants.row_slopes(gaps, h)
+        motion.late_by_x[rows + h], motion.late_by_theta[rows + h] = by_x[nodes], by[nodes]
 
 
 def _first_late(  # noqa: PLR0917

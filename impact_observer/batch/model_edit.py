@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The entries of a model file that change with the values of its parameters."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from impact_observer.model import System
 from impact_observer.model.contact_sensors import KEY as SENSORS
 from impact_observer.model.free_parameters import LATENCY
-from impact_observer.model.parameters_in_file import Place, parameter_places
+from impact_observer.model.parameters_in_file import ParameterPlace, Place
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Vector
 
@@ -16,25 +17,30 @@ Change: TypeAlias = tuple[Place, object]
 
 
 def changes(
-    document: Mapping[str, Any], family: ParametricFamily, values: Vector
+    document: Mapping[str, Any],
+    places: Sequence[ParameterPlace],
+    family: ParametricFamily,
+    values: Vector,
 ) -> dict[Place, object]:
     """New values by their path; a matrix from a file of its own comes into the model.
 
     Args:
         document: the model file from which ``family`` was made, without deviations.
+        places: of the parameters in this file.
         family: the given system and its free parameters.
         values: of the parameters, shape (p,).
     """
     by_name = dict(zip(family.names, values.tolist(), strict=True))
     entries = dict[Place, object]()
-    for place in parameter_places(document, family.system):
+    for place in places:
         if place.name in by_name and not place.name.startswith(LATENCY):
             number = place.number(by_name.pop(place.name))
             is_phase = place.path[-1] == "phase"
             entries[place.path] = _turn(number) if is_phase else number
     entries |= dict(_of_sensors(document, by_name))
-    others = _of_elements if "bodies" in document else _of_matrices
-    return {**entries, **dict(others(document, family, values, by_name))}
+    if "bodies" in document:
+        return entries | dict(_of_elements(document, places, by_name))
+    return entries | dict(_of_matrices(document, family.system_at(values), by_name))
 
 
 def _of_sensors(document: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:
@@ -54,13 +60,9 @@ def _turn(phase: float) -> float:
 
 
 def _of_matrices(
-    document: Mapping[str, Any],
-    family: ParametricFamily,
-    values: Vector,
-    by_name: Mapping[str, float],
+    document: Mapping[str, Any], system: System, by_name: Mapping[str, float]
 ) -> Iterator[Change]:
     """Matrices, harmonics, and constant forces where the file has none."""
-    system = family.system_at(values)
     for name, part in {"mass": "M", "damping": "C", "stiffness": "K"}.items():
         if f"{name}-scale" in by_name:
             yield (name,), getattr(system, part).tolist()
@@ -80,15 +82,12 @@ def _of_matrices(
 
 def _of_elements(
     document: Mapping[str, Any],
-    family: ParametricFamily,
-    values: Vector,
+    places: Sequence[ParameterPlace],
     by_name: Mapping[str, float],
 ) -> Iterator[Change]:
     """Scaled elements, and constant forces where the file has none."""
-    del values
-    places = {place.name: place for place in parameter_places(document, family.system)}
-    for name, place in places.items():
-        kind = name.partition(".")[0]
+    for place in places:
+        kind = place.name.partition(".")[0]
         if (scale := by_name.get(f"{kind}-scale")) is not None:
             element = document[str(place.path[0])][place.path[1]]
             yield place.path, element[kind] * scale

@@ -12,6 +12,7 @@ recording shows.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,8 +39,16 @@ _HUBER = 3.0
 """Deviations of a stamp up to which its square counts, and beyond which its size counts."""
 _ROUNDS = 25
 """Most linearisations of a search."""
+_UNREACHED = 0.1
+"""Part of the measured gaps above which a motion that does not reach them is a wrong one."""
 LOST = 0.1
 """Error of accelerations from which on a motion says nothing of single events."""
+_FARTHEST = 8.0
+"""Deviations of a given value within which a parameter is searched."""
+_FAR = 30.0
+"""Deviations from which on an error of the model is not taken for none."""
+_FIRST = 2
+"""Linearisations of a motion that is far off."""
 _LATE = 10
 """Linearisations after which no kind of noise comes or goes."""
 _LOST_AFTER = 8
@@ -99,6 +108,16 @@ class BatchProblem:
             object.__setattr__(self, "clock", float(np.max(self.errors.clock, initial=0.0)))
         if self.clock is not None:
             object.__setattr__(self, "clock", max(self.clock, ROUNDED))
+
+    @property
+    def searched(self) -> tuple[Vector, Vector]:
+        """Bounds of the parameters in a search, shape (p,) each."""
+        low, high = self.family.bounds
+        reach = _FARTHEST * np.linalg.norm(self.theta, axis=1)
+        return (
+            np.maximum(low, self.family.nominal - reach),
+            np.minimum(high, self.family.nominal + reach),
+        )
 
     def stamp_deviations(self, sizes: NoiseSizes) -> Vector:
         """Standard deviations of the stamps of all measured gaps, shape (R,), s."""
@@ -179,6 +198,10 @@ class MotionFit:
         deviation[:, d:] += _ROUNDING * self.problem.family.sizes
         return float(np.max(np.abs(self.change) / np.where(deviation > 0, deviation, np.inf)))
 
+    def order(self) -> tuple[bool, bool, float]:
+        """What makes one motion better than another."""
+        return not self.is_astray, self.is_settled, self.worth
+
     def published(self, *, fits: bool) -> "MotionFit":
         """The same motion with noises as large as they may be, for honest deviations.
 
@@ -189,7 +212,26 @@ class MotionFit:
         if fits and not self.sizes.model and not self.sizes.scatter:
             return self
         largest = self.density.largest_model_error(self.sizes)
+        if self.is_astray:
+            largest = LARGEST_MODEL
         return replace(self, sizes=self.sizes._replace(model=_PERSISTING * largest))
+
+    @property
+    def unreached(self) -> int:
+        """How many measured gaps are not zero near their stamps."""
+        return int(np.sum(~self.motion.is_regular[self.problem.moments.row_moment]))
+
+    @property
+    def is_behind_stops(self) -> bool:
+        """Whether contacts open where they should close."""
+        speeds = self.motion.speed
+        return bool(speeds.size and float(np.median(speeds)) > 0)
+
+    @property
+    def is_astray(self) -> bool:
+        """Whether the motion has other impacts than those of the recording."""
+        many = 1 + _UNREACHED * self.residuals.size  # the first impact may be the start
+        return self.unreached > many or self.is_behind_stops
 
     @property
     def states(self) -> tuple[Matrix, Matrix]:
@@ -279,21 +321,78 @@ def fitted(
         DynamicsError: the forcing has no sample at a moment.
     """
     family, moments = problem.family, problem.moments
-    low, high = family.bounds
     x = np.tile(problem.mean, (moments.count + 1, 1))
-    inflation, of_samples, firsts = np.ones(moments.row_moment.size), np.zeros(0), 2
-    sizes = NoiseSizes(problem.clock or LARGEST_CLOCK, 0.0, LARGEST_MODEL)
-    if near is not None and near.problem.moments is moments:
-        x, inflation, sizes, firsts = near.states[0], near.inflation, near.sizes, 0
-        of_samples = near.sample_inflation
-    if theta is None:
-        theta = family.nominal if near is None else near.values
-    theta = np.array(theta)
-    first: MotionFit | None = None
+    begun = _Search(
+        x, family.nominal, NoiseSizes(problem.clock or LARGEST_CLOCK, 0.0, LARGEST_MODEL)
+    )
+    if near is not None:
+        begun = begun._replace(theta=near.values)
+        if near.problem.moments is moments:
+            begun = _Search.about(near)
+    if theta is not None:
+        begun = begun._replace(theta=np.array(theta))
+    found = _settled(problem, begun, problem.clock, rounds, show)
+    if found.sizes.model > LOST or rounds < _ROUNDS:
+        return found
+    motions = [found]
+    about = _Search.about(found)._replace(is_late=found.is_settled)
+    if (sizes := found.density.likeliest_of_all(found.sizes, problem.clock)) != found.sizes:
+        again = about._replace(sizes=sizes)
+        motions.append(_settled(problem, again, problem.clock, rounds, show))
+    if problem.clock is None and (scatter := found.sizes.scatter or found.sizes.model):
+        again = about._replace(sizes=NoiseSizes(ROUNDED, scatter))
+        motions.append(_settled(problem, again, ROUNDED, rounds, show))
+    return max(motions, key=MotionFit.order)
+
+
+class _Search(NamedTuple):
+    """Where a search is: what is linearised next.
+
+    Attributes:
+        x: states before the moments, shape (K + 1, 2n).
+        theta: parameters, shape (p,).
+        sizes: of the noises.
+        inflation: deviations of stamps over that of the clock, shape (R,); None for 1.
+        of_samples: the same of samples, shape (S,).
+        is_near: whether the motion is that of another search.
+        is_late: whether no kind of noise comes or goes any more.
+    """
+
+    x: Matrix
+    theta: Vector
+    sizes: NoiseSizes
+    inflation: Vector | None = None
+    of_samples: Vector | None = None
+    is_near: bool = False
+    is_late: bool = False
+
+    @classmethod
+    def about(cls, fit: MotionFit) -> "_Search":
+        """The search from a motion that was found."""
+        return cls(
+            *(fit.states[0], fit.values, fit.sizes, fit.inflation, fit.sample_inflation),
+            is_near=True,
+        )
+
+
+def _settled(
+    problem: BatchProblem,
+    begun: _Search,
+    clock: float | None,
+    rounds: int,
+    show: Callable[[str], None],
+) -> MotionFit:
+    """Return the motion at which a search settles, or its last one.
+
+    The size of the clock's noise is ``clock``, or is found.
+    """
+    (low, high), worth = problem.searched, -np.inf
+    x, theta, sizes, inflation, of_samples, is_near, is_late = begun
+    if inflation is None:
+        inflation = np.ones(problem.moments.row_moment.size)
     fit: MotionFit | None = None
-    worth = np.inf
     for number in range(rounds):
-        is_first = number < firsts
+        is_first = not is_near and number < _FIRST
         fit = linearised_fit(
             problem,
             theta,
@@ -303,9 +402,12 @@ def fitted(
             sample_inflation=of_samples,
             is_first=is_first,
         )
-        is_late = first is not None or number >= _LATE
-        likeliest = fit.density.likeliest(sizes, problem.clock, is_first=is_first, is_late=is_late)
+        is_late = is_late or number >= _LATE
+        likeliest = fit.density.likeliest(sizes, clock, is_first=is_first, is_late=is_late)
         fit = fit if likeliest == sizes else replace(fit, sizes=likeliest)
+        if sizes.model and not likeliest.model and fit.distance > _FAR:
+            kept = fit.density.likeliest(sizes, clock, is_first=is_first, is_late=True)
+            fit = replace(fit, sizes=kept)
         were, sizes = sizes, fit.sizes
         size = ", ".join(f"{each:.1g}" for each in sizes)
         show(f"motion {number + 1} (clock, rebounds, model: {size})")
@@ -319,17 +421,13 @@ def fitted(
             is_still = is_still or fit.worth < worth + _GAIN
         worth = fit.worth
         if not is_first and is_still and steady and alike:
-            settled = replace(fit, is_settled=True)
-            sizes = fit.density.likeliest_of_all(sizes, problem.clock)
-            if first is not None or sizes == fit.sizes:
-                return max(filter(None, (settled, first)), key=lambda each: each.worth)
-            first = settled
-        elif number >= _LOST_AFTER and sizes.model > LOST:
+            return replace(fit, is_settled=True)
+        if number >= _LOST_AFTER and sizes.model > LOST:
             break
         x = x + fit.change[:, : x.shape[1]]
         theta = np.clip(theta + fit.change[-1, x.shape[1] :], low, high)
     assert fit is not None, "rounds are at least one"
-    return first or fit
+    return fit
 
 
 def linearised_fit(
@@ -357,7 +455,7 @@ def linearised_fit(
         DynamicsError: the forcing has no sample at a moment.
     """
     tangent, moments = Tangent(problem.family, theta), problem.moments
-    motion = linearised(tangent, moments, x, problem.errors)
+    motion = linearised(tangent, moments, x, problem.errors, is_scattered=sizes.scatter > 0)
     near = 0.0 if is_first else _SURE * sizes.clock
     samples = sample_rows(tangent, moments, motion, problem.samples, near)
     if inflation is None:

@@ -180,7 +180,7 @@ def forward(prior: Gaussian, steps: Sequence[LinearStep], sizes: NoiseSizes) -> 
             gain = S @ seen
             a += gain * nu
             S = S - np.outer(gain, seen / (1 + sigma / s))
-            log_density -= nu**2 / 2 + float(np.log(s)) + float(np.log(2 * np.pi)) / 2
+            log_density -= nu * nu / 2 + float(np.log(s)) + float(np.log(2 * np.pi)) / 2
             updates.append(Update(nu, s, gain, seen, sigma / s))
         traces.append(StepTrace(node, S, kept, lost, updates))
     return Forward(log_density, traces)

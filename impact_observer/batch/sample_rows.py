@@ -82,7 +82,7 @@ def measured_rows(measurement: Measurement, system: System) -> tuple[Vector, Vec
     rows, contact = np.zeros((3, system.n)), -1
     given = measurement.position, measurement.velocity, measurement.acceleration
     for row, own in zip(rows, given, strict=True):
-        for name, value in own:
+        for name, value in own.items():
             row[system.coordinates.index(name)] += value
     if measurement.gap:
         contact = system.contact_names.index(measurement.gap)

@@ -2,7 +2,7 @@
 """Whether a model explains a recording: what is left is a clock, a scatter, or the model."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -22,9 +22,7 @@ _OF_FLIGHTS = 0.005
 """Part of the mean flight above which no error of stamps is one of a clock."""
 _LAGS = 10
 """Most lags of the tested autocorrelations."""
-_UNREACHED = 0.1
-"""Part of the impacts above which those that a motion does not reach speak against a model."""
-_OUTLIERS = 1 / 3
+OUTLIERS = 0.3
 """Part of the events above which rejected and inserted ones speak against a model."""
 
 
@@ -40,6 +38,7 @@ class FitVerdict:
         model: error of accelerations, over the usual ones.
         size: probability of residuals of this size under the declared clock; 1 without one.
         white: probability of autocorrelations of this size of independent residuals.
+        outliers: part of the events that had to be rejected or inserted.
     """
 
     reasons: tuple[str, ...]
@@ -49,6 +48,7 @@ class FitVerdict:
     model: float
     size: float
     white: float
+    outliers: float
 
     @property
     def fits(self) -> bool:
@@ -56,8 +56,8 @@ class FitVerdict:
         return not self.reasons
 
 
-def verdict_on(fit: MotionFit) -> FitVerdict:
-    """Judge a motion and the sizes of its noises."""
+def verdict_on(fit: MotionFit, rejected: int = 0) -> FitVerdict:
+    """Judge a motion and the sizes of its noises; the account has ``rejected`` impacts."""
     clock, scatter, model = fit.sizes
     declared, nu = fit.problem.clock, fit.innovations[0]
     size = 1.0
@@ -66,8 +66,10 @@ def verdict_on(fit: MotionFit) -> FitVerdict:
     least = max(2 * ROUNDED, (declared or 0.0) / 2)
     is_rounding = float(np.linalg.norm(fit.predicted)) <= least * np.sqrt(nu.size)
     white = 1.0 if is_rounding else whiteness(nu)
-    found = FitVerdict((), clock, declared, scatter, model, size, white)
-    return FitVerdict(tuple(_reasons(fit, found)), clock, declared, scatter, model, size, white)
+    inserted = int(np.sum(fit.problem.errors.has_sensor[fit.problem.missed]))
+    outliers = (inserted + rejected) / (fit.problem.moments.count + rejected)
+    found = FitVerdict((), clock, declared, scatter, model, size, white, outliers)
+    return replace(found, reasons=tuple(_reasons(fit, found)))
 
 
 def whiteness(values: Vector) -> float:
@@ -99,16 +101,13 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
         yield f"stamps differ by more than the declared clock error (chance {found.size:.1g})"
     if found.white < UNLIKELY:
         yield f"what is left at successive stamps is correlated (chance {found.white:.1g})"
-    lost = int(np.sum(~fit.motion.is_regular[moments.row_moment]))
-    if lost > 1 + _UNREACHED * moments.row_moment.size:  # the first may be the start
-        yield f"the motion does not reach {lost} of {moments.row_moment.size} impacts"
-    speeds = fit.motion.speed
-    if speeds.size and float(np.median(speeds)) > 0:
+    if fit.is_astray and fit.unreached:
+        yield f"the motion does not reach {fit.unreached} of {fit.residuals.size} impacts"
+    if fit.is_behind_stops:
         yield "contacts open where they should close: the motion is on the other side of a stop"
     yield from _of_sensors(fit)
-    changed = int(np.sum(fit.problem.errors.has_sensor[fit.problem.missed]))
-    if changed > _OUTLIERS * max(moments.count, 1):
-        yield f"{changed} of {moments.count} impacts had to be inserted"
+    if found.outliers > OUTLIERS:
+        yield f"{100 * found.outliers:.0f} % of the impacts had to be rejected or inserted"
 
 
 def _of_sensors(fit: MotionFit) -> Iterator[str]:

@@ -20,7 +20,7 @@ from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
-from impact_observer.io.state_arrays import JointStates
+from impact_observer.io.state_arrays import RecordedStates
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.plain_text import say
@@ -48,14 +48,9 @@ _SENSORS = {
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One fault of a bag, or one remark on it.
+    """One fault of a bag, or one remark on it: a file, topic or contact, and words.
 
-    Attributes:
-        severity: ``error``, ``warning`` or ``note``.
-        thing: the file, topic or contact.
-        found: the fault in words.
-        wanted: the expectation; empty if obvious.
-        remedy: advice to the user; empty if nothing need be done.
+    What is wanted is empty if obvious, and the remedy if nothing need be done.
     """
 
     severity: str
@@ -74,14 +69,10 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The result of a check.
+    """The result of a check: counts of messages by topic, findings, the most severe first.
 
-    Attributes:
-        path: the bag.
-        readable: whether the bag can be read.
-        counts: messages of each topic.
-        findings: the most severe first.
-        content: of :func:`~impact_observer.check.bag_summary.summary_of`; None if unreadable.
+    The content is that of :func:`~impact_observer.check.bag_summary.summary_of`; None if the bag
+    is not readable.
     """
 
     path: Path
@@ -124,12 +115,7 @@ def check_bag(
     *,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Report:
-    """Check a bag.
-
-    Args:
-        path: a rosbag2 folder, or a bare file.
-        model: of the user; None for that in the bag.
-        progress: called with the number of messages read and of all messages.
+    """Check a bag against the ``model`` of the user; None for that in the bag.
 
     Raises:
         UsageError: ``path`` does not exist.
@@ -345,7 +331,7 @@ def _contact_findings(
 
 def _truth_findings(
     topic: str,
-    truth: JointStates,
+    truth: RecordedStates,
     events: Sequence[ImpactEvent],
     system: System | RobotDescription | None,
 ) -> Iterator[Finding]:

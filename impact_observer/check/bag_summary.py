@@ -22,10 +22,6 @@ def summary_of(reader: BagReader, events: Sequence[ImpactEvent]) -> dict[str, An
 
     Stamps are in ns, ``duration`` is in s and the ``rate`` of a topic in Hz. A closing counts as
     an impact, and an impact that a closing replaces does not count.
-
-    Args:
-        reader: the bag.
-        events: its impacts.
     """
     kinds = [(contact, kind) for _, contact, kind in impacts_of(events)]
     length = seconds_between(reader.start, reader.end)

@@ -60,7 +60,7 @@ def for_json(checked: ModelCheck) -> dict[str, Any]:
             {
                 "name": contact.name,
                 "gap": contact.gap,
-                **law.document,
+                "restitution": law.written,
                 "effective_mass": mass,
                 "gap_under_load": rest,
                 "swing": swing,

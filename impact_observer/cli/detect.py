@@ -237,14 +237,16 @@ def _topic(args: argparse.Namespace, columns: "Mapping[str, str]") -> str:
 def _table(result: "BagDetection") -> "TextTable":
     """What was found by each sensor; ``late`` is the mean time from threshold to stamp."""
     from impact_observer.draw.reports import TextTable
+    from impact_observer.stamps import seconds_between
 
     headings = ("contact", "sensor", "dead time [s]", "impacts", "persistent", "suppressed")
     rows = []
     for k, source in enumerate(result.sources):
-        counts, dead = result.counts[k], result.dead_times[k]
-        numbers = counts.impacts, counts.closings, dead.suppressed, dead.short_releases
+        counts = result.counts[k]
+        numbers = counts.impacts, counts.closings, counts.suppressed, counts.short_releases
         sensor = f"{source.topic}, {source.kind}"
-        late = f"{1e3 * result.rises[k]:.2g}" if result.rises[k] > 0 else ""
+        rise = seconds_between(0, counts.rises) / max(counts.impacts, 1)
+        late = f"{1e3 * rise:.2g}" if rise > 0 else ""
         time = f"{source.dead_time:g}"
         rows.append([source.contact, sensor, time, *map(str, numbers), late])
     return TextTable((*headings, "short releases", "late [ms]"), rows, words=("sensor",))

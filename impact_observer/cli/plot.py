@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.motion_picture import chosen_coordinates, motion_picture
     from impact_observer.draw.pictures import save
-    from impact_observer.draw.recorded_motion import drawn_topics, read_motion
+    from impact_observer.draw.recorded_motion import read_motion
     from impact_observer.io.bag_part import read_part
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
 
     check_output(args.output)
     with BagReader(args.bag) as reader, Progress() as progress:
-        read_part(reader, args.start, args.duration, drawn_topics(reader))
+        read_part(reader, args.start, args.duration, reader.state_topics())
         motion = read_motion(
             reader,
             lambda done, total: progress.step(f"reading {args.bag}", done, total),

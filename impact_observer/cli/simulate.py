@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import add_option, add_shared, positive, seed
 from impact_observer.errors import UsageError
-from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
+from impact_observer.sensor_faults import MEASUREMENT_RATE, SENSOR_FAULTS, USUAL_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,8 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_option(group, each)
     group = parser.add_argument_group("measurements", "what is measured beside the impacts")
     add_shared(group, "measurements")
-    for each in SAMPLING:
-        add_option(group, each)
+    add_option(group, MEASUREMENT_RATE)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,11 +46,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.events import Kind
     from impact_observer.io.recordings import write_run
-    from impact_observer.io.simulated_samples import (
-        SampleSimulation,
-        Sampling,
-        simulated_samples,
-    )
+    from impact_observer.io.simulated_samples import SampleSimulation, simulated_samples
     from impact_observer.io.writer import check_free
     from impact_observer.model import read_model
     from impact_observer.model.measurement import read_measurements
@@ -70,11 +65,11 @@ def run(args: argparse.Namespace) -> int:
         true = plant.random_plant(model, args.random_parameters)
     stamps = grid(epoch, epoch + from_seconds(duration), args.rate)
     sensors = read_measurements(args.measurements)
-    of_samples = {each.name: getattr(args, each.name) for each in SAMPLING}
-    if not sensors and (wrong := [name for name, v in of_samples.items() if v is not None]):
-        raise UsageError(f"{wrong[0]}: given without --measurements; name a file, or leave it out")
-    sampling = Sampling.from_values(of_samples)
-    simulation = SampleSimulation(sensors, true.system, sampling, args.seed)
+    if not sensors and args.measurement_rate is not None:
+        wrong = f"{MEASUREMENT_RATE.name}: given without --measurements"
+        raise UsageError(f"{wrong}; name a file, or leave it out")
+    rate = USUAL_RATE if args.measurement_rate is None else args.measurement_rate
+    simulation = SampleSimulation(sensors, true.system, rate, args.seed)
     sampled = simulation.stamps(epoch, int(stamps[-1])) if sensors else stamps[:0]
     with Progress() as progress:
 
@@ -103,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         if kinds[Kind.CLOSE]:
             words.append(f"{kinds[Kind.CLOSE]} of them persistent")
         words.append(f"{stamps.size} true states")
-        own = ["own errors of contacts"] if model.sensors.by_contact else []
+        own = ["own errors of contacts"] if model.sensors else []
         if faults := [*sensor.faults, *own]:
             words.append(f"{len(events)} events of a sensor with {', '.join(faults)}")
         if sensors:

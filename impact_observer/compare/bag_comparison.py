@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from impact_observer.compare.comparison import (
     Comparison,
     compare_replicas,
@@ -17,10 +15,9 @@ from impact_observer.compare.comparison import (
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import TimeZero, time_zero
-from impact_observer.io.pairing import Samples, sample_type, samples_of
-from impact_observer.io.reader import BagReader, states_of
+from impact_observer.io.pairing import Samples, samples_of
+from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, outcomes_in
-from impact_observer.io.state_arrays import JointStates, ObserverStates, deviations_in
 from impact_observer.model.multibody import Multibody
 from impact_observer.observer import Observer
 from impact_observer.states import Stamps
@@ -54,11 +51,8 @@ def compare_bag(
 ) -> BagComparison:
     """Compare the observers in a bag, and others that are run on its events, with the truth.
 
-    Args:
-        reader: the bag.
-        system: gives V.
-        observers: to run on the bag, one a law; they have received nothing yet.
-        progress: receives the name of the work, the amount done, and the whole amount.
+    The ``observers``, one a law, have received nothing yet. ``progress`` receives the name of the
+    work, the amount done, and the whole amount.
 
     Raises:
         BagError: the bag has no truth, no estimate, or no stamp that both have, or an observer
@@ -70,7 +64,7 @@ def compare_bag(
         raise UnfitBagError(
             f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
         )
-    topics = {name: states_of(reader, name) for name in reader.observers()}
+    topics = {prefix: topic for topic, prefix in reader.state_topics().items() if prefix}
     if not topics and not observers:
         advice = "make them with observe"
         advice += " --measurements FILE" if system.has_encoders else ", or name laws with --laws"
@@ -131,37 +125,21 @@ def states_of_topics(
     topics: Sequence[str],
     progress: Callable[[int, int], None],
 ) -> tuple[dict[str, str], dict[str, Samples]]:
-    """Read all states on some topics.
+    """The laws that topics of states name, and their states in the order of the bag, by topic.
 
-    Args:
-        reader: the bag.
-        system: gives the order of the coordinates; those that rest on encoders have deviations.
-        topics: topics of states.
-        progress: receives the number of messages read, and of all.
-
-    Returns:
-        The law of each topic whose messages name one, and the states of each topic in the order
-        of the bag.
+    ``system`` gives the order of the coordinates; those that rest on encoders have deviations.
 
     Raises:
         BagError: the bag is damaged, or a topic has other coordinates.
     """
-    chosen = [*dict.fromkeys(topics)]
-    total, done = sum(reader.topics[topic].count for topic in chosen), 0
-    laws: dict[str, str] = {}
-    blocks: dict[str, list[Samples]] = {topic: [] for topic in chosen}
-    has_deviations = system.has_encoders
-    for topic, block in reader.blocks(chosen, system.coordinates, covariance=has_deviations):
-        blocks[topic].append(_samples(block, has_deviations=has_deviations))
-        if law := getattr(block, "law", ""):
-            laws[topic] = law
-        done += block.stamps.size
-        progress(done, total)
-    nothing = np.empty(0, sample_type(2 * system.n, has_deviations=has_deviations))
-    return laws, {topic: np.concatenate([nothing, *read]) for topic, read in blocks.items()}
-
-
-def _samples(block: JointStates, *, has_deviations: bool) -> Samples:
-    last_event = block.last_event if isinstance(block, ObserverStates) else None
-    deviations = deviations_in(block) if has_deviations else None
-    return samples_of(block.stamps, np.hstack([block.q, block.u]), last_event, deviations)
+    found = reader.states(topics, system.coordinates, progress)
+    laws = {topic: each.law for topic, each in found.items() if each.law}
+    return laws, {
+        topic: samples_of(
+            each.stamps,
+            each.x,
+            each.last_event,
+            each.deviations if system.has_encoders else None,
+        )
+        for topic, each in found.items()
+    }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states, errors, events or impacts of a bag as rows of a table, block by block.
+"""The states, errors, events or impacts of a bag as rows of a table, topic by topic.
 
 ``topics`` are topics of states, or observers' prefixes; None means all. Seconds count from
 ``time_zero``.
@@ -14,24 +14,19 @@ from numpy.typing import NDArray
 from impact_observer.compare.bag_comparison import states_of_topics
 from impact_observer.compare.comparison import compare_states
 from impact_observer.compare.table_files import TableBlock
-from impact_observer.errors import BagError, UnfitBagError
+from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import TimeZero, time_zero
 from impact_observer.io.interfaces import absolute
-from impact_observer.io.reader import (
-    BagReader,
-    first_block,
-    named_states,
-    named_topic,
-    states_of,
-)
-from impact_observer.io.recordings import events_in, impact_topics, outcomes_in
-from impact_observer.io.state_arrays import ObserverStates, deviations_in
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.model.multibody import Multibody
 
 DEVIATIONS = ("deviation_q", "deviation_u")
 """Prefixes of the columns of standard deviations, of coordinates and of velocities."""
+_ROWS = 65536
+"""Most rows of states in a block."""
 Progress: TypeAlias = Callable[[int, int], None]
 """Receives the number of messages read, and of all."""
 
@@ -39,7 +34,7 @@ Progress: TypeAlias = Callable[[int, int], None]
 def state_rows(
     reader: BagReader, topics: Collection[str] | None, progress: Progress
 ) -> Iterator[TableBlock]:
-    """The true states and the estimates, in the order of the bag.
+    """The true states and the estimates, each topic in the order of the bag.
 
     If an observer has a covariance, all rows have standard deviations too, NaN for other states.
 
@@ -48,21 +43,20 @@ def state_rows(
         BagError: there are no states, topics have different coordinates, or the bag is damaged.
     """
     chosen = state_topics(reader, topics)
-    first = first_block(reader, chosen)
+    first = reader.first_state(chosen)
     if first is None:
         raise UnfitBagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
     zero = time_zero(reader)
-    done, total = 0, sum(reader.topics[topic].count for topic in chosen)
-    with_deviations = any(_has_covariance(reader, topic) for topic in chosen)
-    for topic, block in reader.blocks(chosen, first.names, covariance=with_deviations):
-        if block.stamps.size:
-            numbers = _columns(("q", "u"), block.names, np.hstack([block.q, block.u]))
-            if with_deviations:
-                numbers |= _columns(DEVIATIONS, block.names, deviations_in(block))
-            words = {"topic": [topic] * block.stamps.size}
-            yield TableBlock(topic, zero, block.stamps, words, numbers)
-            done += block.stamps.size
-            progress(done, total)
+    states = reader.states(chosen, first.names, progress)
+    with_deviations = any(np.isfinite(each.deviations).any() for each in states.values())
+    for topic, each in states.items():
+        numbers = _columns(("q", "u"), each.names, each.x)
+        if with_deviations:
+            numbers |= _columns(DEVIATIONS, each.names, each.deviations)
+        for rows in (slice(k, k + _ROWS) for k in range(0, each.stamps.size, _ROWS)):
+            some = {name: column[rows] for name, column in numbers.items()}
+            stamps = each.stamps[rows]
+            yield TableBlock(topic, zero, stamps, {"topic": [topic] * stamps.size}, some)
 
 
 def error_rows(
@@ -167,19 +161,31 @@ def _columns(
     return dict(zip(headings, x.T, strict=True))
 
 
-def _has_covariance(reader: BagReader, topic: str) -> bool:
-    """Whether the first estimates on a topic have a covariance."""
-    _, block = next(iter(reader.blocks([topic], covariance=True)))
-    return isinstance(block, ObserverStates) and block.covariance.size > 0
-
-
 def state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]:
     """Topics of states: the named ones, else the truth and the states of every observer."""
-    if named is not None:
-        return [*dict.fromkeys(named_states(reader, name) for name in named)]
-    truth = reader.truth_topic()
-    estimates = [states_of(reader, prefix) for prefix in reader.observers()]
-    return [*([truth] if truth else []), *estimates]
+    if named is None:
+        return [*reader.state_topics()]
+    prefixes = reader.observers()
+    topics = (
+        reader.states_of(prefix)
+        if (prefix := absolute(name)) in prefixes
+        else _in_bag(reader, name)
+        for name in named
+    )
+    return [*dict.fromkeys(topics)]
+
+
+def _in_bag(reader: BagReader, name: str) -> str:
+    """The absolute name of a topic, given with or without its first slash.
+
+    Raises:
+        UsageError: the bag has no such topic.
+    """
+    topic = absolute(name)
+    if topic not in reader.topics:
+        in_bag = ", ".join(reader.topics) or "none"
+        raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {in_bag}")
+    return topic
 
 
 def named_impacts(reader: BagReader, named: Collection[str] | None) -> list[str]:
@@ -189,8 +195,8 @@ def named_impacts(reader: BagReader, named: Collection[str] | None) -> list[str]
         UsageError: the bag has no such topic or observer.
         BagError: the bag has no estimates of impacts.
     """
-    of_owner = {topic.rpartition("/")[0]: topic for topic in impact_topics(reader)}
+    of_owner = {topic.rpartition("/")[0]: topic for topic in reader.impact_topics()}
     if named is None:
         return [*of_owner.values()]
-    topics = (of_owner.get(absolute(name)) or named_topic(reader, name) for name in named)
+    topics = (of_owner.get(absolute(name)) or _in_bag(reader, name) for name in named)
     return [*dict.fromkeys(topics)]

@@ -193,14 +193,7 @@ def compare_states(
     estimates: Samples,
     outcomes: EventOutcomes,
 ) -> Comparison:
-    """Compare estimates with the truth at the stamps that both have.
-
-    Args:
-        system: gives V.
-        law: name of the law.
-        truth: true states, in the order of the bag.
-        estimates: estimated states, in the order of the bag.
-        outcomes: which events the observer applied, rejected and inserted.
+    """Compare estimates with the truth at the stamps that both have; each in the order of a bag.
 
     Raises:
         BagError: no stamp is in both, or every estimate came before its events.
@@ -223,15 +216,7 @@ def compare_states(
 
 
 class Many(NamedTuple):
-    """Several estimates by one law at the stamps of a truth.
-
-    Attributes:
-        mechanism: gives V.
-        law: name of the law.
-        stamps: ns, ascending, shape (samples,).
-        truth: true states, shape (samples, 2n).
-        estimates: shape (N, samples, 2n).
-    """
+    """Several estimates by one law, shape (N, samples, 2n), at the stamps (ns) of a truth."""
 
     mechanism: Mechanism
     law: str
@@ -289,12 +274,7 @@ def largest_rise(V: NDArray[np.float64]) -> float:
 
 
 def settling_time(stamps: Stamps, V: NDArray[np.float64]) -> float | None:
-    """Seconds from the first sample until V has settled for good; None for never.
-
-    Args:
-        stamps: of the samples, ns, shape (samples,).
-        V: distance from the truth at the samples, J, shape (samples,).
-    """
+    """Seconds from the first of the ``stamps`` (ns) until V has settled for good; None: never."""
     above = np.flatnonzero(SETTLED * V[0] < V)
     since = int(above[-1]) + 1 if above.size else 0
     if since == V.size or (V[0] == 0 and V.any()):
@@ -348,12 +328,13 @@ def compare_replicas(
 ) -> list[Comparison]:
     """Run an observer over events and compare the estimate of each replica with the truth.
 
-    Replicas beside the first are those of a law that moves each by itself.
+    Replicas beside the first are those of a law that moves each by itself. Estimates are made at
+    the stamps of the truth.
 
     Args:
         observer: an observer that has received nothing yet.
         events: in order of episode, stamp and sequence.
-        truth: states of the plant; estimates are made at their stamps.
+        truth: states of the plant.
         system: the system whose energy is V; None for the observer's.
         needs_event: whether it is an error that the observer could not apply any event.
         samples: of the observer's sensors, in order of stamps.

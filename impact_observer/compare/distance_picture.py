@@ -75,12 +75,8 @@ def lyapunov_picture(
 ) -> Figure:
     """``V`` over time on a logarithmic axis, after Figure 2 of Baumann and Leine.
 
-    Args:
-        comparisons: one curve each, by label.
-        impacts: stamps of the impacts (ns), by contact.
-        title: of the picture.
-        zero: of the time axis.
-        part: of a picture, to draw there; None for a new picture.
+    A curve for each comparison, by its label; ``impacts`` are stamps (ns) by contact. None draws a
+    new picture, else a ``part`` of one.
     """
     figure = cast("Figure", part or Figure(figsize=(8.0, 5.0), layout="constrained"))
     axes = figure.add_subplot()

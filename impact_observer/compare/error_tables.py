@@ -62,12 +62,7 @@ def distance_remarks(labelled: Mapping[str, Comparison]) -> Iterator[ReportLine]
 
 
 def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> TextTable:
-    """A table with a row for each estimate.
-
-    Args:
-        title: ``DISTANCE`` or ``IMPACTS``: the table whose metrics are wanted.
-        labelled: the comparisons by the label of their row.
-    """
+    """The table ``DISTANCE`` or ``IMPACTS``, with a row for each estimate by its label."""
     shown = [m for m in METRICS if m.table == title and m.is_shown(labelled.values())]
     return TextTable(
         ("law", *(metric.heading for metric in shown)),

@@ -32,13 +32,10 @@ def compare_simulated(
     *,
     progress: Callable[[str, float, float], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
-    """Simulate a model with an ideal sensor, and run an observer with each of the ``options``.
+    """Simulate ``duration`` s of a linear model with an ideal sensor, and run observers on it.
 
-    Args:
-        model: of a linear system, with an initial state.
-        options: of the observers, one a law; their epoch is that of the run.
-        duration: of the run, s.
-        progress: receives the name of the work, the amount done, and the whole amount.
+    The ``options`` are those of the observers, one a law. ``progress`` receives the name of the
+    work, the amount done, and the whole amount.
 
     Raises:
         UsageError, ModelError: the options or the initial state cannot be used.

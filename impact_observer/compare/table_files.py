@@ -22,15 +22,7 @@ if TYPE_CHECKING:
 
 
 class TableBlock(NamedTuple):
-    """Rows of a table; all blocks of one table have the same columns.
-
-    Attributes:
-        topic: the topic of the rows.
-        zero: time zero.
-        stamps: ns, shape (rows,).
-        words: columns of words, one a row.
-        numbers: columns of numbers, shape (rows,).
-    """
+    """Rows with stamps (ns) of a topic; all blocks of one table have the same columns."""
 
     topic: str
     zero: TimeZero

@@ -5,8 +5,9 @@ The node and the command ``detect`` feed a :class:`Detector` with the same messa
 reception, so both detect the same events.
 """
 
-from impact_observer.detector.detection import Detection, Detector, SensorCounts
+from impact_observer.detector.detection import Detection, Detector
 from impact_observer.detector.sensor_file import parse_sources, read_sources
+from impact_observer.detector.sensors import SensorCounts
 from impact_observer.detector.source import KINDS, Source
 
 __all__ = [

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the detector on a bag of sensor messages, and writes a bag with events."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from impact_observer import __version__
 from impact_observer.detector import Detection, Detector, SensorCounts, Source
-from impact_observer.detector.sensors import MAX_DELAY, DeadTimes, SignalTrace
+from impact_observer.detector.sensors import MAX_DELAY, SignalTrace
 from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import BagPart, TimeZero, read_part, sensor_zero
@@ -30,55 +31,62 @@ class BagDetection:
     Attributes:
         sources: the sensors that are in the bag, complete.
         counts: of each one.
-        events: how many events were written.
+        traces: signals of the sources, if they were to be kept.
         problems: topics without a message or not copied, a line each.
+        part: the part that was read; None for all.
         doubts: what was left out, and an epoch that lacks, a line each.
         rows: number of rows of a signal; 0 of a bag.
         seconds: from the first row to the last one, s.
-        dead_times: what lay in those of each source.
-        rises: mean times from where peaks of each source reached the threshold to their stamps, s.
-        traces: signals of the sources, if they were to be kept.
         zero: the time zero of the traces, as of a part; None without them.
-        part: the part that was read; None for all.
     """
 
     sources: list[Source]
     counts: list[SensorCounts]
-    events: int = 0
-    problems: list[str] = field(default_factory=list)
+    traces: list[SignalTrace]
+    problems: list[str]
+    part: BagPart | None
     doubts: list[str] = field(default_factory=list)
     rows: int = 0
     seconds: float = 0.0
-    dead_times: list[DeadTimes] = field(default_factory=list)
-    rises: list[float] = field(default_factory=list)
-    traces: list[SignalTrace] = field(default_factory=list)
     zero: TimeZero | None = None
-    part: BagPart | None = None
 
-    def finish(self, path: Path, detector: Detector, model: Model | None) -> None:
-        """Count the events that the ``detector`` has detected in ``path``.
+    @property
+    def events(self) -> int:
+        """How many events were written."""
+        return sum(each.impacts + each.closings + each.openings for each in self.counts)
 
-        Raises:
-            BagError: no impact.
-        """
-        self.events = sum(c.impacts + c.closings + c.openings for c in self.counts)
+
+@contextmanager
+def detecting(
+    path: Path,
+    detector: Detector,
+    output: Path,
+    problems: list[str],
+    *,
+    part: BagPart | None,
+    model: Model | None,
+) -> Iterator[tuple[BagWriter, BagDetection]]:
+    """A writer of a new bag of the impacts in ``path``, and the result, which ends complete.
+
+    Raises:
+        BagError: no impact was found. Then no bag is left.
+    """
+    result = BagDetection(detector.sources, detector.counts, detector.traces, problems, part)
+    with all_or_nothing(output) as writer:
+        yield writer, result
         if model is not None and model.subject.depends_on_time and not detector.epoch:
-            self.doubts.append(
+            result.doubts.append(
                 f"no epoch, and the forcing of {model.subject.name} depends on time: an observer"
                 " needs it; give --epoch in the time of the stamps (the first event has"
                 f" {text(detector.first_event)}), or record the pulses of the drive on"
                 f" {interfaces.PHASE_REFERENCE.topic}"
             )
-        for k, source in enumerate(self.sources):
-            self.doubts += detector.left_out(k)
+        for k, source in enumerate(detector.sources):
+            result.doubts += detector.left_out(k)
             if why := detector.no_impact(k):
-                self.problems.append(f"{source.contact}: {why}")
-        self.dead_times = detector.dead_times
-        self.rises = [detector.rise(k) for k in range(len(self.sources))]
-        self.traces = detector.traces
-        if not any(counts.impacts for counts in self.counts):
-            why = "; ".join(self.problems + self.doubts)
-            raise BagError(f"{path}: no impact found; {why}")
+                problems.append(f"{source.contact}: {why}")
+        if not any(counts.impacts for counts in detector.counts):
+            raise BagError(f"{path}: no impact found; {'; '.join(problems + result.doubts)}")
 
 
 def detect_bag(
@@ -130,28 +138,17 @@ def detect_bag(
     pulses = None if pulses is None else _checked_pulses(reader, pulses)
     epoch = epoch or first_pulse(reader, pulses)
     zero = partial(sensor_zero, topics=topics, epoch=epoch)
-    part = read_part(
-        reader,
-        start,
-        duration,
-        topics,
-        zero=zero,
-        received=[source.topic for source in declared if source.stamp == "receive"],
-    )
-    detector = Detector(
-        declared,
-        epoch=epoch,
-        traced=traced,
-        joins_late=part is not None and part.is_late,
-    )
-    result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
-    result.zero = zero(reader) if traced else None
-    with all_or_nothing(output) as writer:
+    received = [source.topic for source in declared if source.stamp == "receive"]
+    part = read_part(reader, start, duration, topics, zero=zero, received=received)
+    joins_late = part is not None and part.is_late
+    detector = Detector(declared, epoch=epoch, traced=traced, joins_late=joins_late)
+    made = detecting(reader.path, detector, output, problems, part=part, model=known)
+    with made as (writer, result):
+        result.zero = zero(reader) if traced else None
         copied = _declared(reader, writer, model, problems)
         if pulses is not None:
             writer.declare(interfaces.PHASE_REFERENCE.topic)
         _run(reader, writer, detector, copied=copied, pulses=pulses, progress=progress)
-        result.finish(reader.path, detector, known)
     return result
 
 
@@ -160,10 +157,7 @@ def present(
 ) -> tuple[list[Source], list[str]]:
     """Returns the complete sources whose topic is present, and a line for each other source.
 
-    Args:
-        path: of a bag or a signal.
-        types: of the messages, by topic.
-        sources: as declared.
+    The ``types`` are those of the messages by topic, in the bag or signal at ``path``.
 
     Raises:
         UsageError: a source does not fit its topic.
@@ -224,6 +218,12 @@ def write_model(writer: BagWriter, model: Model, stamp: int) -> None:
     writer.write(interfaces.PLANT_MODEL.topic, stamp, bag_messages().model(text))
 
 
+def write_events(writer: BagWriter, detections: Sequence[Detection]) -> None:
+    """Write the events that a detector has decided."""
+    for decided, event in detections:
+        writer.write(interfaces.IMPACTS.topic, decided, bag_messages().event(event))
+
+
 def _declared(
     reader: BagReader, writer: BagWriter, model: Model | None, problems: list[str]
 ) -> set[str]:
@@ -250,19 +250,13 @@ def _run(
     progress: Callable[[int, int], None],
 ) -> None:
     """Feed the detector with every message of the bag, and write the new bag."""
-    make = bag_messages()
     topics = {source.topic for source in detector.sources}
     decoders = {topic: reader.decoder(topic) for topic in topics}
     indices = {
         topic: [k for k, s in enumerate(detector.sources) if s.topic == topic] for topic in topics
     }
-
-    def write(detections: list[Detection]) -> None:
-        for decided, event in detections:
-            writer.write(interfaces.IMPACTS.topic, decided, make.event(event))
-
     for done, raw in enumerate(reader.raw()):
-        write(detector.advance(raw.log_time))
+        write_events(writer, detector.advance(raw.log_time))
         if raw.topic in copied:
             writer.write_raw(*raw)
         if raw.topic == pulses:
@@ -270,7 +264,7 @@ def _run(
         if raw.topic in topics:
             message = decoders[raw.topic](raw.data)
             for index in indices[raw.topic]:
-                write(detector.feed(index, message, raw.log_time))
+                write_events(writer, detector.feed(index, message, raw.log_time))
         progress(done, reader.message_count)
     # No message can be missing any more after the longest delay.
-    write(detector.advance(reader.end + MAX_DELAY))
+    write_events(writer, detector.advance(reader.end + MAX_DELAY))

@@ -3,17 +3,16 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from impact_observer.detector.peak import PeakSensor
 from impact_observer.detector.sensors import (
     ArrivalSensor,
-    DeadTimes,
     DetectedSwitch,
     Sample,
     SampleTime,
     Sensor,
+    SensorCounts,
     SignalTrace,
 )
 from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH, Source
@@ -21,7 +20,7 @@ from impact_observer.detector.switch import SwitchSensor
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.message_fields import FieldPath, header_stamp, numbers_at
-from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between
+from impact_observer.stamps import MAX_STAMP, from_seconds
 
 _SENSORS: dict[str, type[Sensor]] = {
     SWITCH: SwitchSensor,
@@ -31,41 +30,10 @@ _SENSORS: dict[str, type[Sensor]] = {
 
 
 class Detection(NamedTuple):
-    """An event, and the time at which the event was certain.
-
-    Attributes:
-        decided: on the clock of reception, ns; detections come in this order.
-        event: the event.
-    """
+    """An event, and when it was certain, ns on the clock of reception; these times ascend."""
 
     decided: int
     event: ImpactEvent
-
-
-@dataclass(slots=True)
-class SensorCounts:
-    """Counts of the messages of one source, and of the events detected in them.
-
-    Attributes:
-        messages: received.
-        impacts: how often the contact closed.
-        closings: how often persistent contact began.
-        openings: how often persistent contact ended.
-        invalid: messages with a number that is not finite, without the field or the stamp, or
-            with a stamp that no event may have.
-        out_of_order: messages with a stamp before that of an earlier one.
-        last_event: stamp of the last event, ns; 0 before the first.
-        largest_signal: of a peak source, in the field's own unit.
-    """
-
-    messages: int = 0
-    impacts: int = 0
-    closings: int = 0
-    openings: int = 0
-    invalid: int = 0
-    out_of_order: int = 0
-    last_event: int = 0
-    largest_signal: float = 0.0
 
 
 class Detector:
@@ -78,6 +46,7 @@ class Detector:
     Attributes:
         sources: the sensors.
         counts: one for each source.
+        traces: one for each source, if the signals are kept.
         episode: the number of restarts.
         epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
         first_event: stamp of the first event, ns; 0 before it.
@@ -93,23 +62,17 @@ class Detector:
     ) -> None:
         """The first event has sequence number 1, or 2 where the detector joins late.
 
-        Args:
-            sources: as for :meth:`add_source`.
-            epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
-            traced: whether to keep the signals, for a picture.
-            joins_late: whether there may have been impacts before the first message.
+        ``traced`` says whether to keep the signals, for a picture.
         """
         self._is_traced = traced
         self.sources: list[Source] = []
         self.counts: list[SensorCounts] = []
-        self.episode = 0
-        self.epoch = epoch
-        self.first_event = 0
+        self.traces: list[SignalTrace] = []
+        self.episode, self.epoch, self.first_event = 0, epoch, 0
         self._sensors: list[Sensor] = []
         self._paths: list[FieldPath] = []
         self._newest: list[int] = []
-        self._sequence = int(joins_late)
-        self._now = 0
+        self._sequence, self._now = int(joins_late), 0
         for source in sources:
             self.add_source(source)
 
@@ -117,7 +80,9 @@ class Detector:
         """Take a complete source; returns the index that :meth:`feed` needs."""
         self.sources.append(source)
         self.counts.append(SensorCounts())
-        self._sensors.append(self._sensor(source))
+        if self._is_traced:
+            self.traces.append(SignalTrace())
+        self._sensors.append(self._sensor(len(self.counts) - 1))
         self._paths.append(source.path() if source.field else ())
         self._newest.append(0)
         return len(self.sources) - 1
@@ -125,24 +90,20 @@ class Detector:
     def change_source(self, index: int, source: Source) -> None:
         """Go on with another complete source of the same contact, such as of another type."""
         if source != self.sources[index]:
-            self.sources[index], self._sensors[index] = source, self._sensor(source)
+            self.sources[index] = source
+            self._sensors[index] = self._sensor(index)
             self._paths[index] = source.path() if source.field else ()
 
-    def _sensor(self, source: Source) -> Sensor:
-        sensor = _SENSORS[source.kind or ""](source)
-        sensor.trace = SignalTrace() if self._is_traced else None
-        return sensor
+    def _sensor(self, index: int) -> Sensor:
+        source, trace = self.sources[index], self.traces[index] if self._is_traced else None
+        return _SENSORS[source.kind or ""](source, self.counts[index], trace)
 
     def restart(self) -> None:
         """Begin a new episode, for example after the clock has jumped back."""
         self.episode += 1
-        before = self._sensors
-        self._sensors = [self._sensor(source) for source in self.sources]
-        for old, new in zip(before, self._sensors, strict=True):
-            new.dead_times, new.trace = old.dead_times, old.trace
+        self._sensors = [*map(self._sensor, range(len(self.sources)))]
         self._newest = [0] * len(self.sources)
-        self._sequence = 0
-        self._now = 0
+        self._sequence = self._now = 0
 
     def feed(self, index: int, message: object, received: int) -> list[Detection]:
         """Returns the events that a message of source ``index`` decides; ``received`` is in ns.
@@ -151,25 +112,30 @@ class Detector:
             UsageError: a message has no such field, or has no stamp in a header although the
                 source declares ``stamp: header``, and no message before could be used.
         """
-        counts = self.counts[index]
-        counts.messages += 1
         try:
             sample = self._sample(index, message, received)
         except UsageError:
+            counts = self.counts[index]
+            counts.messages += 1
             counts.invalid += 1
             if counts.invalid >= counts.messages:
                 raise
             return self.advance(received)
+        return self.take(index, sample)
+
+    def take(self, index: int, sample: Sample) -> list[Detection]:
+        """Returns the events that a sample of a source decides."""
+        counts, (received, stamp) = self.counts[index], sample.time
+        counts.messages += 1
         detections = self.advance(received)
-        if not all(map(math.isfinite, sample.values)) or sample.time.stamp > MAX_STAMP:
+        if not all(map(math.isfinite, sample.values)) or stamp > MAX_STAMP:
             counts.invalid += 1
-        elif sample.time.stamp < self._newest[index]:
+        elif stamp < self._newest[index]:
             counts.out_of_order += 1
         else:
-            self._newest[index] = sample.time.stamp
-            sensor = self._sensors[index]
-            detections += self._events((switch, index) for switch in sensor.feed(sample))
-            counts.largest_signal = max(counts.largest_signal, sensor.largest_signal)
+            self._newest[index] = stamp
+            switches = self._sensors[index].feed(sample)
+            detections += self._events((switch, index) for switch in switches)
         return detections
 
     def advance(self, now: int) -> list[Detection]:
@@ -182,21 +148,6 @@ class Detector:
         detections = self._events(sorted(switches, key=lambda pair: pair[0].decided))
         self._now = max(self._now, now)
         return detections
-
-    @property
-    def traces(self) -> list[SignalTrace]:
-        """The signals of the sources, if they are kept."""
-        return [sensor.trace for sensor in self._sensors if sensor.trace is not None]
-
-    @property
-    def dead_times(self) -> list[DeadTimes]:
-        """What lay in the dead times of each source."""
-        return [sensor.dead_times for sensor in self._sensors]
-
-    def rise(self, index: int) -> float:
-        """The mean time from where peaks of a source reached the threshold to their stamps, s."""
-        rises = self._sensors[index].dead_times.rises
-        return seconds_between(0, rises) / max(self.counts[index].impacts, 1)
 
     def left_out(self, index: int) -> list[str]:
         """How many messages of a source were left out, of how many, and why, a line each."""

@@ -5,7 +5,14 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, Sensor
+from impact_observer.detector.sensors import (
+    DetectedSwitch,
+    Sample,
+    SampleTime,
+    Sensor,
+    SensorCounts,
+    SignalTrace,
+)
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds, seconds_between
@@ -22,14 +29,10 @@ _RECENT = 4
 
 @dataclass(slots=True)
 class _Top:
-    """The top of a signal, as its samples come.
+    """The top of a signal, as its samples come: the first sample with the largest value.
 
-    Attributes:
-        top: the first sample with the largest value.
-        last: stamp of the last sample in a row with the largest value, as at the limit of the
-            sensor's range.
-        left: the sample before the top; None if there was none.
-        right: the sample after the top; None before it is received.
+    The samples beside the top are ``left`` and ``right``; None where there is none, or none yet.
+    ``last`` is the stamp of the last equal sample in a row, as at the limit of a range.
     """
 
     top: Point
@@ -57,13 +60,9 @@ class _Top:
 
 @dataclass(slots=True)
 class _Peak:
-    """The signal since it exceeded the threshold.
+    """The signal since it exceeded the threshold: the top of the whole peak, and the first top.
 
-    Attributes:
-        begin: the time at which the signal exceeded the threshold.
-        sign: of the field there; 1 for a vector.
-        whole: the top of the whole peak.
-        first: the first top after the begin, of the field times the sign.
+    The first top is that of the field times its ``sign`` at the begin; of a vector the sign is 1.
     """
 
     begin: SampleTime
@@ -108,9 +107,11 @@ class PeakSensor(Sensor):
     threshold, without a change of sign in between.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(
+        self, source: Source, counts: SensorCounts, trace: SignalTrace | None = None
+    ) -> None:
         """A signal that is above the threshold from its first sample on is no peak."""
-        super().__init__(source)
+        super().__init__(source, counts, trace)
         self._high = source.number("threshold")
         self._low = self._high - source.number("hysteresis")
         self._dead_time = source.number("dead_time")
@@ -135,10 +136,10 @@ class PeakSensor(Sensor):
         time, switches = sample.time, []
         point, field = (time.stamp, self._signal(sample)), self._field(sample)
         before = self._before or point
-        self.largest_signal = max(self.largest_signal, point[1])
-        if self.trace is not None:
-            self.trace.stamps.append(time.stamp)
-            self.trace.signal.append(point[1])
+        self._counts.largest_signal = max(self._counts.largest_signal, point[1])
+        if self._trace is not None:
+            self._trace.stamps.append(time.stamp)
+            self._trace.signal.append(point[1])
         if (deadline := self._deadline()) is not None and deadline.stamp <= time.stamp:
             switches = self._on_deadline(time.received)
         self._note_ringing(before, point)
@@ -191,9 +192,9 @@ class PeakSensor(Sensor):
         is_high = point[1] >= self._high and point[1] > RINGING * loudest
         if is_dead and is_high and not self._is_suppressing:
             self._is_suppressing = True
-            self.dead_times.suppressed += 1
-            if self.trace is not None:
-                self.trace.suppressed.append(point[0])
+            self._counts.suppressed += 1
+            if self._trace is not None:
+                self._trace.suppressed.append(point[0])
         self._is_suppressing = self._is_suppressing and point[1] >= self._low
 
     def _field(self, sample: Sample) -> float:
@@ -232,8 +233,8 @@ class PeakSensor(Sensor):
         dead_time = from_seconds(self._dead_time)
         self._dead_until = top + dead_time
         stamp = onset if self._source.instant == "onset" else top
-        self.dead_times.rises += stamp - peak.begin.stamp
-        if self.trace is not None:
-            self.trace.impacts.append(stamp)
-            self.trace.dead.append((top, self._dead_until))
+        self._counts.rises += stamp - peak.begin.stamp
+        if self._trace is not None:
+            self._trace.impacts.append(stamp)
+            self._trace.dead.append((top, self._dead_until))
         return [DetectedSwitch(decided, stamp, Kind.IMPACT)]

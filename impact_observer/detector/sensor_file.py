@@ -51,11 +51,7 @@ def read_sources(path: str | Path) -> tuple[Source, ...]:
 
 
 def parse_sources(text: str, name: str) -> tuple[Source, ...]:
-    """Returns the sensors that the text of a file declares.
-
-    Args:
-        text: the YAML.
-        name: the name of the file in errors.
+    """Returns the sensors that the text of a file declares, called ``name`` in errors.
 
     Raises:
         UsageError: one line that names the file, the key and what is wanted.

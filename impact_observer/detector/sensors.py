@@ -17,12 +17,7 @@ The absence of a sample decides something only when this time is over, too.
 
 
 class SampleTime(NamedTuple):
-    """The time of a sample, by two clocks.
-
-    Attributes:
-        received: when the message was received, ns.
-        stamp: when it was measured, ns; ``received`` where the message has no stamp.
-    """
+    """When a message was received, and when it was measured, ns; equal without a stamp."""
 
     received: int
     stamp: int
@@ -34,13 +29,7 @@ class SampleTime(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The time and the numbers of one message.
-
-    Attributes:
-        time: of the message.
-        values: the number of the field, or the components of a vector; empty for a sensor without
-            a field.
-    """
+    """The time and the numbers of one message: of a vector its components; maybe none."""
 
     time: SampleTime
     values: tuple[float, ...] = ()
@@ -61,10 +50,19 @@ class DetectedSwitch(NamedTuple):
 
 
 @dataclass(slots=True)
-class DeadTimes:
-    """What lay in the dead times of a sensor.
+class SensorCounts:
+    """Counts of the messages of one source, and of the events detected in them.
 
     Attributes:
+        messages: received.
+        impacts: how often the contact closed.
+        closings: how often persistent contact began.
+        openings: how often persistent contact ended.
+        invalid: messages with a number that is not finite, without the field or the stamp, or
+            with a stamp that no event may have.
+        out_of_order: messages with a stamp before that of an earlier one.
+        last_event: stamp of the last event, ns; 0 before the first.
+        largest_signal: of a peak source, in the field's own unit.
         suppressed: peaks, edges or messages in a dead time, which are no impacts. A peak is one
             that is higher than the ringing before it.
         short_releases: of a switch, from an opening to the next closing, no longer than the dead
@@ -72,6 +70,14 @@ class DeadTimes:
         rises: from where peaks reached the threshold to their stamps, ns, added up.
     """
 
+    messages: int = 0
+    impacts: int = 0
+    closings: int = 0
+    openings: int = 0
+    invalid: int = 0
+    out_of_order: int = 0
+    last_event: int = 0
+    largest_signal: float = 0.0
     suppressed: int = 0
     short_releases: int = 0
     rises: int = 0
@@ -97,27 +103,17 @@ class SignalTrace:
 
 
 class Sensor(ABC):
-    """Detects the switches in one stream of samples, whose stamps never go back.
+    """Detects the switches in one stream of samples, whose stamps never go back."""
 
-    Attributes:
-        largest_signal: of all samples; 0 where no signal is compared with a threshold.
-        dead_times: what lay in the dead times.
-        trace: the signal; None where no picture is wanted.
-    """
-
-    def __init__(self, source: Source) -> None:
-        """Make the sensor that ``source`` declares."""
-        self._source = source
-        self.largest_signal = 0.0
-        self.dead_times = DeadTimes()
-        self.trace: SignalTrace | None = None
+    def __init__(
+        self, source: Source, counts: SensorCounts, trace: SignalTrace | None = None
+    ) -> None:
+        """The sensor that ``source`` declares; ``counts`` go on, and the ``trace`` if wanted."""
+        self._source, self._counts, self._trace = source, counts, trace
 
     @property
     def due(self) -> int | None:
-        """The time of reception from which on the absence of samples decides something, ns.
-
-        None means that the absence of samples decides nothing.
-        """
+        """The time of reception from which on the absence of samples decides something, ns."""
         deadline = self._deadline()
         return None if deadline is None else deadline.received + MAX_DELAY
 
@@ -147,8 +143,10 @@ class ArrivalSensor(Sensor):
     Each message is an IMPACT, except within ``dead_time`` after an impact.
     """
 
-    def __init__(self, source: Source) -> None:
-        super().__init__(source)
+    def __init__(
+        self, source: Source, counts: SensorCounts, trace: SignalTrace | None = None
+    ) -> None:
+        super().__init__(source, counts, trace)
         self._dead_time = from_seconds(source.number("dead_time"))
         self._dead_until = 0
 
@@ -156,7 +154,7 @@ class ArrivalSensor(Sensor):
         """Returns the IMPACT of a message outside the dead time."""
         time = sample.time
         if time.stamp < self._dead_until:
-            self.dead_times.suppressed += 1
+            self._counts.suppressed += 1
             return []
         self._dead_until = time.stamp + self._dead_time
         return [DetectedSwitch(time.received, time.stamp, Kind.IMPACT)]

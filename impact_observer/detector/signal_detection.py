@@ -3,25 +3,25 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 
 import numpy as np
 
-from impact_observer.detector import Detection, Detector, Source
+from impact_observer.detector import Detector, Source
 from impact_observer.detector.bag_detection import (
     BagDetection,
     check_contacts,
+    detecting,
     present,
+    write_events,
     write_model,
 )
-from impact_observer.detector.sensors import MAX_DELAY
+from impact_observer.detector.sensors import MAX_DELAY, Sample, SampleTime
 from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import BagPart
 from impact_observer.io.messages import bag_messages
-from impact_observer.io.recordings import all_or_nothing
 from impact_observer.io.signals import Signal
 from impact_observer.io.writer import BagWriter
 from impact_observer.model import Model
@@ -30,13 +30,6 @@ from impact_observer.stamps import seconds_between
 _TYPE = "a column of numbers"
 _LEVELS = 0.25, 0.5, 0.75
 """Of a column's range: below a pulse, at its edge, and in it."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Number:
-    """A sample in place of a message such as ``std_msgs/Float64``."""
-
-    data: float
 
 
 def detect_signal(
@@ -82,10 +75,10 @@ def detect_signal(
         problem = f"no row from {part.words}; choose another part with --start and --duration"
         raise UsageError(f"{signal.path}: {problem}")
     detector = Detector(present_sources, epoch=epoch, traced=traced, joins_late=is_late)
-    result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
-    result.zero, result.rows = signal.time_zero, len(chosen.stamps)
-    result.seconds = seconds_between(int(chosen.stamps[0]), int(chosen.stamps[-1]))
-    with all_or_nothing(output) as writer:
+    made = detecting(signal.path, detector, output, problems, part=part, model=model)
+    with made as (writer, result):
+        result.zero, result.rows = signal.time_zero, len(chosen.stamps)
+        result.seconds = seconds_between(int(chosen.stamps[0]), int(chosen.stamps[-1]))
         if model is not None:
             write_model(writer, model, max(begin, part.low if part else 0))
         writer.declare(interfaces.IMPACTS.topic)
@@ -96,7 +89,6 @@ def detect_signal(
         _run(chosen, names, writer, detector, pulses=pulses, progress=progress)
         result.doubts += signal.remarks
         result.doubts += [signal.omissions[n] for n in {*names} & {*signal.omissions}]
-        result.finish(signal.path, detector, model)
     return result
 
 
@@ -104,11 +96,7 @@ def pulses_in(signal: Signal, column: str) -> list[int]:
     """Stamps of the rising edges of a column, such as a drive's index pulses, ns.
 
     An edge goes from the lowest to the highest quarter of the column's range. Its instant is
-    where the line between two samples crosses the middle.
-
-    Args:
-        signal: the signal.
-        column: name of a column, or the topic that the column is taken for.
+    where the line between two samples crosses the middle. The topic of a column may be given.
 
     Raises:
         UsageError: the file has no such column, or the column has no rising edge.
@@ -145,21 +133,18 @@ def _run(
 
     ``columns`` are those of the detector's sources.
     """
-    make, waiting = bag_messages(), deque(pulses)
-
-    def write(detections: list[Detection]) -> None:
-        for decided, event in detections:
-            writer.write(interfaces.IMPACTS.topic, decided, make.event(event))
-
+    waiting = deque(pulses)
     stamps = signal.stamps.tolist()
     rows = zip(*(signal.columns[name].tolist() for name in columns), strict=True)
     for done, (stamp, values) in enumerate(zip(stamps, rows, strict=True), start=1):
         while waiting and waiting[0] <= stamp:
             pulse = waiting.popleft()
-            writer.write(interfaces.PHASE_REFERENCE.topic, pulse, make.pulse(pulse))
+            message = bag_messages().pulse(pulse)
+            writer.write(interfaces.PHASE_REFERENCE.topic, pulse, message)
         for index, value in enumerate(values):
             if isfinite(value):
-                write(detector.feed(index, _Number(value), stamp))
+                sample = Sample(SampleTime(stamp, stamp), (value,))
+                write_events(writer, detector.take(index, sample))
         progress(done)
     # After the longest delay no message can be missing any more, as in a bag.
-    write(detector.advance(stamps[-1] + MAX_DELAY))
+    write_events(writer, detector.advance(stamps[-1] + MAX_DELAY))

@@ -146,11 +146,7 @@ class Source:
             raise self.wrong("field", str(error)) from None
 
     def kind_on(self, type_name: str) -> str:
-        """Returns the kind that is declared, or the default; empty where the type has none.
-
-        Args:
-            type_name: of the topic's messages, such as ``std_msgs/msg/Bool``.
-        """
+        """Returns the kind that is declared, or the default; empty where the type has none."""
         return (
             self.kind
             or _DEFAULT_KINDS.get(type_name)
@@ -158,10 +154,7 @@ class Source:
         )
 
     def complete(self, type_name: str) -> "Source":
-        """Returns the source with its defaults filled in.
-
-        Args:
-            type_name: of the topic's messages, such as ``std_msgs/msg/Bool``.
+        """Returns the source with its defaults for messages of a type, ``std_msgs/msg/Bool``.
 
         Raises:
             UsageError: a key is missing, or does not go with the kind.

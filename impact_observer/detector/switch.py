@@ -1,7 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A contact switch: debounced edges; long closures are persistent contact."""
 
-from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, Sensor
+from impact_observer.detector.sensors import (
+    DetectedSwitch,
+    Sample,
+    SampleTime,
+    Sensor,
+    SensorCounts,
+    SignalTrace,
+)
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 
@@ -19,9 +26,11 @@ class SwitchSensor(Sensor):
     ignored.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(
+        self, source: Source, counts: SensorCounts, trace: SignalTrace | None = None
+    ) -> None:
         """Begin with an open contact."""
-        super().__init__(source)
+        super().__init__(source, counts, trace)
         self._high = source.number("threshold")
         self._low = self._high - source.number("hysteresis")
         self._inverted = bool(source.inverted)
@@ -42,9 +51,9 @@ class SwitchSensor(Sensor):
         value = self._source.scalar(sample.values)
         while (deadline := self._deadline()) is not None and deadline.stamp <= time.stamp:
             switches += self._on_deadline(time.received)
-        if self.trace is not None:
-            self.trace.stamps.append(time.stamp)
-            self.trace.signal.append(value)
+        if self._trace is not None:
+            self._trace.stamps.append(time.stamp)
+            self._trace.signal.append(value)
         self._level = value >= (self._low if self._level else self._high)
         closed = self._level != self._inverted
         if closed != self._input_closed:
@@ -58,9 +67,9 @@ class SwitchSensor(Sensor):
 
     def _suppress(self, stamp: int) -> None:
         """Count a change that began and ends in the dead time, ns."""
-        self.dead_times.suppressed += 1
-        if self.trace is not None:
-            self.trace.suppressed.append(stamp)
+        self._counts.suppressed += 1
+        if self._trace is not None:
+            self._trace.suppressed.append(stamp)
 
     def _deadline(self) -> SampleTime | None:
         """Returns the end of the dead time, or of the shortest persistent contact."""
@@ -81,12 +90,12 @@ class SwitchSensor(Sensor):
         """Make an edge at the last change of the input."""
         again = self._has_edge and self._input_closed
         dead_until = self._edge.later_by(self._dead_time).stamp
-        self.dead_times.short_releases += again and self._input_changed.stamp <= dead_until
+        self._counts.short_releases += again and self._input_changed.stamp <= dead_until
         self._closed, self._edge, self._has_edge = self._input_closed, self._input_changed, True
-        if self.trace is not None:
+        if self._trace is not None:
             end = self._edge.later_by(self._dead_time).stamp
-            self.trace.dead.append((self._edge.stamp, end))
-            self.trace.impacts += [self._edge.stamp] if self._closed else []
+            self._trace.dead.append((self._edge.stamp, end))
+            self._trace.impacts += [self._edge.stamp] if self._closed else []
         if not self._closed:
             was_persistent, self._persistent = self._persistent, False
             return [DetectedSwitch(decided, self._edge.stamp, Kind.OPEN)] if was_persistent else []

@@ -7,19 +7,20 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.errors import ModelError, UnfitBagError
 from impact_observer.events import ImpactEvent, Kind, Ruling, final_rulings
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import TimeZero, time_zero
 from impact_observer.io.pairing import arrived
-from impact_observer.io.reader import BagReader, first_block, states_of
+from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of, outcomes_in
-from impact_observer.io.state_arrays import ObserverStates, deviations_in
+from impact_observer.io.state_arrays import RecordedStates
 from impact_observer.model import System
 from impact_observer.model.system import UNKNOWN_UNIT, per_second
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Matrix, Stamps, Vector
+from impact_observer.states import Matrix, Vector
 
 TRUTH = "truth"
 Marks: TypeAlias = dict[str, dict[Ruling | None, list[float]]]
@@ -71,13 +72,6 @@ class RecordedMotion:
         return min(at), max(at)
 
 
-def drawn_topics(reader: BagReader) -> dict[str, str]:
-    """The observers' prefixes by the topics of their states; the prefix of the truth is empty."""
-    truth = reader.truth_topic()
-    own = {} if truth is None else {truth: ""}
-    return own | {states_of(reader, prefix): prefix for prefix in reader.observers()}
-
-
 def read_motion(
     reader: BagReader,
     progress: Callable[[int, int], object] = lambda _done, _all: None,
@@ -93,45 +87,37 @@ def read_motion(
     Raises:
         BagError: the bag has no states, or is damaged.
     """
-    topics = drawn_topics(reader)
-    first = first_block(reader, topics)
+    topics = reader.state_topics()
+    first = reader.first_state(topics)
     if first is None:
         raise UnfitBagError(
             f"{reader.path}: no states; expected true states on"
             f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
         )
     events = [] if reader.find(interfaces.IMPACTS) is None else events_in(reader)
-    zero, laws = time_zero(reader), {prefix: "" for prefix in topics.values() if prefix}
-    outcomes = {topic: outcomes_in(reader, topic, events) for topic in topics if topics[topic]}
-    parts = {topic: list[tuple[Stamps, Matrix, Matrix]]() for topic in topics}
-    done, total = 0, sum(reader.topics[topic].count for topic in topics)
-    for topic, block in reader.blocks(topics, first.names, covariance=True):
-        rows = np.ones(block.stamps.size, dtype=bool)
-        if isinstance(block, ObserverStates):
-            laws[topics[topic]] = block.law
-            if topic in outcomes and block.last_event.any():
-                rows = arrived(block.stamps, block.last_event, outcomes[topic].reported)
-        x = np.hstack([block.q, block.u])
-        parts[topic].append((block.stamps[rows], x[rows], deviations_in(block)[rows]))
-        progress(done := done + block.stamps.size, total)
-    labels = _labels(laws)
-    curves = tuple(
-        _curve(labels[topics[topic]], laws.get(topics[topic]), blocks, zero.stamp)
-        for topic, blocks in parts.items()
-        if any(stamps.size for stamps, _, _ in blocks)
-    )
-    motion = RecordedMotion(first.names, _units(reader, first.names), curves, {}, zero)
+    zero, states = time_zero(reader), reader.states(topics, first.names, progress)
+    laws = {prefix: states[topic].law for topic, prefix in topics.items() if prefix}
+    labels, curves = _labels(laws), list[MotionCurve]()
+    for topic, each in states.items():
+        rows = np.ones(each.stamps.size, dtype=bool)
+        if (prefix := topics[topic]) and each.last_event.any():
+            reported = outcomes_in(reader, topic, events).reported
+            rows = arrived(each.stamps, each.last_event, reported)
+        if rows.any():
+            curves.append(_curve(labels[prefix], laws.get(prefix), each, rows, zero.stamp))
+    motion = RecordedMotion(first.names, _units(reader, first.names), tuple(curves), {}, zero)
     return replace(motion, marks=_marks(reader, labels, events, zero.stamp, motion.ends))
 
 
 def _curve(
-    label: str, law: str | None, blocks: Sequence[tuple[Stamps, Matrix, Matrix]], zero: int
+    label: str, law: str | None, states: RecordedStates, rows: NDArray[np.bool_], zero: int
 ) -> MotionCurve:
-    """The states of one topic in order of their stamps; of equal stamps the last one counts."""
-    stamps, x, deviations = map(np.concatenate, zip(*blocks, strict=True))
-    at, last = np.unique(stamps[::-1], return_index=True)
-    kept = stamps.size - 1 - last
-    return MotionCurve(label, law, (at - zero) / NS_PER_S, x[kept], deviations[kept])
+    """Some rows of states in order of their stamps; of equal stamps the last one counts."""
+    places = np.flatnonzero(rows)[::-1]
+    at, last = np.unique(states.stamps[places], return_index=True)
+    kept = places[last]
+    seconds = (at - zero) / NS_PER_S
+    return MotionCurve(label, law, seconds, states.x[kept], states.deviations[kept])
 
 
 def _labels(laws: Mapping[str, str]) -> dict[str, str]:

@@ -89,7 +89,6 @@ class Drive:
         self._active = np.zeros(0, dtype=np.intp)
         orders = 0
         if forcing.sampled is not None:
-            assert forcing.sampled.jets is not None, "derived"
             self._active = np.flatnonzero(forcing.sampled.drives)
             used = np.any(forcing.sampled.jets != 0, axis=(1, 2))
             is_live = isinstance(forcing.sampled, LiveSamples)

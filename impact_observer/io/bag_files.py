@@ -16,7 +16,9 @@ from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import Writer
 
 from impact_observer.errors import BagError, UnfitBagError, UsageError
-from impact_observer.input_files import open_input
+from impact_observer.input_files import check_input, open_input
+from impact_observer.model.yaml_text import load_yaml
+from impact_observer.resources import read_text
 
 _STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 _SUFFIXES = {".bag", ".mcap", ".db3", ".yaml", ".zstd"}
@@ -27,6 +29,8 @@ SOUND_FILES = (".wav", ".flac", ".ogg")
 """Suffixes of sounds."""
 SIGNAL_FILES = (".csv", ".txt", ".tsv", ".dat", ".lvm", *SOUND_FILES)
 """Suffixes of tables and sounds, of which commands make bags."""
+_MOST_NESTED = 1000
+"""Brackets, and letters of a line, up to which metadata cannot be nested too deeply."""
 
 
 def storage_of(path: Path) -> str:
@@ -56,13 +60,30 @@ def storage_of(path: Path) -> str:
     raise UnfitBagError(f"{path}: no metadata.yaml; expected a bag: {_FORMS}")
 
 
-def bag_files(path: Path) -> list[Path]:
-    """What may be a file of a bag by its name: in the folder of a bag, or the one file."""
+def checked_files(path: Path) -> list[Path]:
+    """The files of a bag, with its metadata, after checks that the libraries lack.
+
+    Raises:
+        UsageError: one of them is no regular file.
+        BagError: a database has a view, which may have no end.
+        ModelError: the metadata are nested without an end; ``rosbags`` would end the process.
+    """
     inside = sorted(path.iterdir()) if path.is_dir() else [path]
-    return [each for each in inside if each.suffix in _SUFFIXES]
+    files = [each for each in inside if each.suffix in _SUFFIXES]
+    for file in files:
+        check_input(file)
+        if file.suffix == ".db3" and (views := _views_in(file)):
+            found = f"{file.name} has a view {views[0]}; expected tables alone"
+            raise BagError(f"{path}: cannot be read as a bag: {found}")
+        if path.is_dir() and file.name == "metadata.yaml":
+            text = read_text(file)
+            longest = max(map(len, text.splitlines()), default=0)
+            if "&" in text or max(text.count("[") + text.count("{"), longest) > _MOST_NESTED:
+                load_yaml(text)
+    return files
 
 
-def views_in(file: Path) -> list[str]:
+def _views_in(file: Path) -> list[str]:
     """Names of the views in a database; none in a damaged one."""
     try:
         with closing(connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
@@ -75,7 +96,8 @@ def views_in(file: Path) -> list[str]:
 
 def recover_command(path: Path) -> str:
     """The command that writes what is left of a damaged file, or a file of a bag, to a new one."""
-    files = [each for each in bag_files(path) if each.suffix in _STORAGES]
+    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    files = [each for each in inside if each.suffix in _STORAGES]
     file = quote(str(files[0])) if len(files) == 1 else "FILE"
     if files and files[0].suffix == ".db3":
         return f"sqlite3 {file} .recover | sqlite3 NEW.db3"
@@ -119,11 +141,10 @@ def write_whole(files: Iterable[Path], output: Path) -> int:
     Raises:
         Exception: of the library ``mcap``, for a damaged file.
     """
-    count = 0
+    count, channels = 0, dict[tuple[str, str], int]()
     with output.open("xb") as target:
         writer = Writer(target)
         writer.start("ros2")
-        channels = dict[tuple[str, str], int]()
         for file in files:
             with _WholeReads(FileIO(file)) as source, suppress(EndOfFile):
                 reader = NonSeekingReader(source, validate_crcs=True)

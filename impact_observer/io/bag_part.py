@@ -10,7 +10,7 @@ from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.measured_samples import received_topics
-from impact_observer.io.reader import BagReader, first_stamp, states_of
+from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import epoch_of
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
@@ -29,12 +29,9 @@ FIRST_MESSAGE = "the first message of the sensors"
 
 
 class TimeZero(NamedTuple):
-    """The instant at which the time of a bag is zero.
+    """The instant at which the time of a bag is zero: its stamp, ns, and words such as ``EPOCH``.
 
-    Attributes:
-        stamp: of the instant, ns.
-        instant: in words, such as ``EPOCH``.
-        note: a line on what is taken for the epoch, where nothing says it; else empty.
+    The note is a line on what is taken for the epoch, where nothing says it; else empty.
     """
 
     stamp: int
@@ -50,11 +47,7 @@ class TimeZero(NamedTuple):
 def time_zero(reader: BagReader, epoch: int | None = None) -> TimeZero:
     """The epoch of a bag; without an epoch the first impact, without impacts the first state.
 
-    A part of a bag has the zero of the whole bag.
-
-    Args:
-        reader: the bag.
-        epoch: the epoch, ns, if the caller gives one; None or 0 for that of the bag.
+    A part of a bag has the zero of the whole bag. An ``epoch`` (ns) of the caller comes first.
 
     Raises:
         BagError: the bag is damaged, or has neither epoch nor impacts nor states.
@@ -68,19 +61,13 @@ def time_zero(reader: BagReader, epoch: int | None = None) -> TimeZero:
             return TimeZero(known)
         if events:
             return TimeZero(min(each.stamp for each in events), FIRST_IMPACT)
-        truth = reader.truth_topic()
-        estimates = [states_of(reader, prefix) for prefix in reader.observers()]
-        if first := first_stamp(reader, [*([truth] if truth else []), *estimates]):
-            return TimeZero(first, FIRST_STATE)
+        if first := reader.first_state(reader.state_topics()):
+            return TimeZero(first.stamp, FIRST_STATE)
     raise UnfitBagError(f"{reader.path}: has no time zero; expected an epoch, impacts or states")
 
 
 def sensor_zero(reader: BagReader, topics: Collection[str], epoch: int = 0) -> TimeZero:
-    """The ``epoch`` (ns), else the first pulse of a drive, else the first message on ``topics``.
-
-    Raises:
-        BagError: the bag is damaged, or a topic is missing.
-    """
+    """The ``epoch`` (ns), else the first pulse of a drive, else the first of all messages."""
     with reader.whole_bag():
         if known := epoch or first_pulse(reader):
             return TimeZero(known)
@@ -95,17 +82,9 @@ def assumed_epoch(
 ) -> TimeZero:
     """What is taken for the epoch: the first of the ``samples`` that come before all ``events``.
 
-    Its stamp, at which the initial state holds, is 0 where an epoch is known, and where no sample
-    comes before the first impact.
-
     Where nothing depends on time, the epoch is only the instant of the initial state, and any
-    instant will do.
-
-    Args:
-        system: of the rig.
-        events: of the bag.
-        samples: of sensors, by stamp; empty if they are not used.
-        epoch: the epoch that is given, ns; 0 for none.
+    instant will do. The stamp is 0 where an epoch is known (``epoch``, ns, or by the events), and
+    where no sample comes before the first impact.
     """
     if epoch or epoch_of(events) or not events:
         return TimeZero(0)
@@ -121,13 +100,9 @@ def assumed_epoch(
 
 
 class BagPart(NamedTuple):
-    """The part of a bag, or of a signal, that a command reads.
+    """The part of a bag, or of a signal, that a command reads: first and last stamp, ns.
 
-    Attributes:
-        low: first stamp, ns.
-        high: last stamp, ns.
-        words: the part in words.
-        is_late: whether something was recorded before the part.
+    ``is_late`` says whether something was recorded before the part.
     """
 
     low: int
@@ -137,13 +112,7 @@ class BagPart(NamedTuple):
 
     @classmethod
     def between(cls, zero: TimeZero, start: float | None, duration: float | None) -> "BagPart":
-        """The part that begins ``start`` s after ``zero`` and lasts ``duration`` s.
-
-        Args:
-            zero: time zero.
-            start: s; None for all that comes before ``zero``, too.
-            duration: s, after the start or ``zero``; None for all.
-        """
+        """The part from ``start`` s after ``zero``, ``duration`` s long; None for an open end."""
         most = seconds_between(0, MAX_STAMP)
         begin = min(zero.stamp + from_seconds(min(start or 0.0, most)), MAX_STAMP)
         low, high = 0 if start is None else begin, MAX_STAMP
@@ -220,19 +189,7 @@ def read_impacts_part(
     *,
     tell: Callable[[str], object],
 ) -> None:
-    """``read_part`` of a bag for an observer; the part must have an impact.
-
-    Args:
-        reader: the bag.
-        start: of the part, s after t = 0; None for all before it, too.
-        duration: of the part, s; None for all.
-        epoch: stamp of ``t = 0``, ns; 0 for that of ``time_zero``.
-        measurements: of sensors whose samples are read, too.
-        tell: called with a line that names the part, if it is not the whole bag.
-
-    Raises:
-        UsageError, BagError: as ``read_part``.
-    """
+    """``read_part`` of a bag, with its ``epoch`` (ns), for an observer; it must have an impact."""
     read_part(
         reader,
         start,

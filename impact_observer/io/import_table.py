@@ -5,6 +5,7 @@ import heapq
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import isnan
 from operator import itemgetter
 from pathlib import Path
@@ -35,17 +36,14 @@ _Stream = Iterator[tuple[int, str, AnyMessage]]
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """The result of an import.
+    """The result of an import: events and numbers of true states and of samples by topic.
 
     Attributes:
-        events: written, by stamp.
         rows: rows of impacts read.
-        states: true states written.
         start: stamp of the file's time zero, ns.
         times: words for the form of the file's times, such as ``times in ms``.
         ignored: names of the columns of impacts that were not read.
         remarks: what was left out or is doubtful, a line each.
-        samples: how many rows of samples are on each topic.
     """
 
     events: list[ImpactEvent]
@@ -83,8 +81,7 @@ def import_table(
         samples: tables of sensors. Each is a topic named as the file, of
             ``sensor_msgs/JointState``, whose positions are the columns of numbers.
         form: of the files; column of time, separator and lines to skip are those of ``path``.
-        start: stamp of the files' time zero, ns. None for 0 where the first impact lies after
-            1973, as times since 1970 do, and for 1 s elsewhere.
+        start: stamp of the files' time zero, ns; None as for :func:`zero_of` of the first impact.
         epoch: stamp of ``t = 0`` of the forcing, ns; None for the files' time zero.
         progress: called with the number of messages written.
 
@@ -124,9 +121,7 @@ def import_table(
             writer.write(topic, stamp, message)
             counts[topic] += 1
             progress(done)
-    remarks = [*table.remarks]
-    for signal in signals.values():
-        remarks += [*signal.remarks, *signal.omissions.values()]
+    own = [(*each.remarks, *each.omissions.values()) for each in signals.values()]
     return Imported(
         events=events,
         rows=len(table.times),
@@ -134,17 +129,13 @@ def import_table(
         start=start,
         times=table.words,
         ignored=[name for name in table.cells if name.lower() not in _COLUMNS],
-        remarks=remarks,
+        remarks=[*table.remarks, *chain.from_iterable(own)],
         samples={topic: counts[topic] for topic in signals},
     )
 
 
 def _check_is_no_signal(table: Table) -> None:
-    """Check that the first rows do not look like samples of a signal.
-
-    Raises:
-        UsageError: equal spacing up to rounding, a column of numbers and none of contacts.
-    """
+    """Refuse rows like samples: equally spaced, with a column of numbers and none of contacts."""
     times, numbers = table.times[:_SAMPLES], table.columns_of_numbers()
     if len(times) < _SAMPLES or not numbers or table.find("contact") is not None:
         return
@@ -186,8 +177,7 @@ def _events(
 def _texts(table: Table, name: str) -> list[str]:
     """The texts in a column; empty without the column."""
     found = table.find(name)
-    cells = [""] * len(table.times) if found is None else table.cells[found].tolist()
-    return [cell.strip() for cell in cells]
+    return [""] * len(table.times) if found is None else [*table.cells[found]]
 
 
 def _contact(table: Table, line: int, cell: str, contacts: Sequence[str] | None) -> str:
@@ -240,15 +230,11 @@ def _states(path: Path, form: TableForm, model: Model | None, start: int) -> _St
 
 
 def _finite(table: Table, name: str) -> Vector:
-    """The numbers in a column.
-
-    Raises:
-        UsageError: a cell has no finite number.
-    """
+    """The numbers in a column; UsageError if a cell has no finite number."""
     values = table.numbers(name)
     for k in np.flatnonzero(np.isnan(values))[:1]:
-        cell = table.cells[name][k].strip()
-        table.wrong(int(table.lines[k]), f"{name} is {shown(cell)}; expected a finite number")
+        found = f"{name} is {shown(table.cells[name][k])}"
+        table.wrong(int(table.lines[k]), f"{found}; expected a finite number")
     return values
 
 

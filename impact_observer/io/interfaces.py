@@ -22,13 +22,7 @@ _FOREVER = QosTime(9_223_372_036, 854_775_807)
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """The policies of quality of service that differ among our topics.
-
-    Attributes:
-        reliable: whether a lost message is sent again.
-        transient_local: whether a late subscriber receives the last ``depth`` messages.
-        depth: messages kept for a slow or late subscriber; 0 for all.
-    """
+    """The policies of quality of service that differ among our topics; a depth of 0 keeps all."""
 
     reliable: bool = True
     transient_local: bool = False
@@ -50,12 +44,10 @@ class Quality:
 
     @classmethod
     def recorded(cls, qos: Qos, depth: int = 10) -> "Quality":
-        """The quality that was offered, as a bag has it.
+        """The quality that was offered, as ``rosbags`` reads it; reliable where that is unknown.
 
-        Args:
-            qos: as ``rosbags`` reads it; unknown reliability is taken as reliable.
-            depth: if the bag has none: a recorder does not receive the history of a publisher, so
-                ``ros2 bag record`` writes ``unknown``.
+        ``depth`` counts if the bag has none: a recorder does not receive the history of a
+        publisher, so ``ros2 bag record`` writes ``unknown``.
         """
         kept = {QosHistory.KEEP_ALL: 0, QosHistory.KEEP_LAST: max(qos.depth, 1)}
         return cls(
@@ -109,13 +101,7 @@ DIAGNOSTIC = "diagnostic_msgs/msg/DiagnosticStatus"
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """A topic of the package.
-
-    Attributes:
-        name: name of the topic, relative to the namespace; absolute where ROS fixes it.
-        type: name of its message type.
-        quality: quality of service that is offered.
-    """
+    """A topic of the package, relative to the namespace, or absolute where ROS fixes it."""
 
     name: str
     type: str
@@ -158,44 +144,26 @@ def _is_of(kind: str, owner: str) -> bool:
     return owner == kind or owner.startswith(f"{kind}_")
 
 
-IMPACTS = Interface("impacts", IMPACT_EVENT, EVENTS)
-FORCING = Interface("forcing", JOINT_STATE, INPUTS)
-PHASE_REFERENCE = Interface("phase_reference", HEADER, EVENTS)
-PLANT_JOINT_STATES = Interface("plant/joint_states", JOINT_STATE)
-PLANT_MODEL = Interface("plant/model", STRING, LATCHED)
-OBSERVER_JOINT_STATES = Interface("observer/joint_states", JOINT_STATE)
-OBSERVER_STATES = Interface("observer/state", OBSERVER_STATE)
-OBSERVER_VERDICTS = Interface("observer/verdicts", EVENT_VERDICT, EVENTS)
-OBSERVER_IMPACTS = Interface("observer/impacts", IMPACT_ESTIMATE, EVENTS)
-OBSERVER_MEASUREMENTS = Interface("observer/measurements", MEASUREMENT_VERDICT, INPUTS)
-OBSERVER_BOUND = Interface("observer/bound", ESTIMATE_ERROR, LATCHED)
-SMOOTHED_IMPACTS = Interface("smoother/impacts", SMOOTHED_IMPACT, EVENTS)
-SMOOTHED_ESTIMATES = Interface("smoother/impact_estimates", IMPACT_ESTIMATE, EVENTS)
-MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
-SIMULATED_CLOCK = Interface("/clock", CLOCK)
-DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
-
+INTERFACES = (
+    IMPACTS := Interface("impacts", IMPACT_EVENT, EVENTS),
+    FORCING := Interface("forcing", JOINT_STATE, INPUTS),
+    PHASE_REFERENCE := Interface("phase_reference", HEADER, EVENTS),
+    PLANT_JOINT_STATES := Interface("plant/joint_states", JOINT_STATE),
+    PLANT_MODEL := Interface("plant/model", STRING, LATCHED),
+    OBSERVER_JOINT_STATES := Interface("observer/joint_states", JOINT_STATE),
+    OBSERVER_STATES := Interface("observer/state", OBSERVER_STATE),
+    OBSERVER_VERDICTS := Interface("observer/verdicts", EVENT_VERDICT, EVENTS),
+    OBSERVER_IMPACTS := Interface("observer/impacts", IMPACT_ESTIMATE, EVENTS),
+    OBSERVER_MEASUREMENTS := Interface("observer/measurements", MEASUREMENT_VERDICT, INPUTS),
+    OBSERVER_BOUND := Interface("observer/bound", ESTIMATE_ERROR, LATCHED),
+    SMOOTHED_IMPACTS := Interface("smoother/impacts", SMOOTHED_IMPACT, EVENTS),
+    SMOOTHED_ESTIMATES := Interface("smoother/impact_estimates", IMPACT_ESTIMATE, EVENTS),
+    MONITOR_ERROR := Interface("monitor/error", ESTIMATE_ERROR),
+    SIMULATED_CLOCK := Interface("/clock", CLOCK),
+    DIAGNOSTIC_ARRAYS := Interface("/diagnostics", DIAGNOSTICS),
+)
 NOT_SYNCHRONIZED = "not synchronized"
 """Key of the reason in the diagnostics of an observer that is not synchronized."""
-
-INTERFACES = (
-    IMPACTS,
-    FORCING,
-    PHASE_REFERENCE,
-    PLANT_JOINT_STATES,
-    PLANT_MODEL,
-    OBSERVER_JOINT_STATES,
-    OBSERVER_STATES,
-    OBSERVER_VERDICTS,
-    OBSERVER_IMPACTS,
-    OBSERVER_MEASUREMENTS,
-    OBSERVER_BOUND,
-    SMOOTHED_IMPACTS,
-    SMOOTHED_ESTIMATES,
-    MONITOR_ERROR,
-    SIMULATED_CLOCK,
-    DIAGNOSTIC_ARRAYS,
-)
 WHOLE = (PLANT_MODEL, FORCING, PHASE_REFERENCE)
 """Topics that are read whole where a part of a bag is: what holds, or drives, from before on."""
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from impact_observer.io import interfaces
-from impact_observer.io.messages import AnyMessage, MessageError, read_efforts, read_pulse
+from impact_observer.io.messages import MessageError, read_efforts, read_pulse
 from impact_observer.io.reader import BagReader
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, connected
@@ -16,22 +16,6 @@ _DEPTH = 2000
 """Messages with efforts that may wait: those of 2 s at 1 kHz."""
 
 
-def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage) -> Iterator[str]:
-    """Add what is in a message; in words why some cannot be used.
-
-    Of another topic than ``FORCING``, which has efforts of joints, others are left out.
-    """
-    try:
-        problems = [
-            live.add_force(*each)
-            for each in read_efforts(message)
-            if interface == interfaces.FORCING or each[0] in live.inputs
-        ]
-    except MessageError as error:
-        problems = [str(error)]
-    yield from filter(None, problems)
-
-
 def give_recorded(
     reader: BagReader,
     live: LiveSignals | None,
@@ -39,7 +23,8 @@ def give_recorded(
 ) -> Iterator[str]:
     """Add all samples of a bag; a line for each reason why some were left out, with their count.
 
-    Without ``live``, of a model that has no inputs, nothing is read.
+    Without ``live``, of a model that has no inputs, nothing is read. Of another topic than
+    ``FORCING``, which has efforts of joints, those of other joints are left out.
 
     Raises:
         BagError: the bag is damaged.
@@ -52,7 +37,15 @@ def give_recorded(
         return
     lost = Counter[str]()
     for _, message in reader.messages(topic):
-        lost.update({*give(live, interface, message)})
+        try:
+            problems = {
+                live.add_force(*each)
+                for each in read_efforts(message)
+                if interface == interfaces.FORCING or each.name in live.inputs
+            }
+        except MessageError as error:
+            problems = {str(error)}
+        lost.update(filter(None, problems))
     for why, count in lost.items():
         what = f"messages on {topic} wholly or partly"
         yield part_left_out(count, reader.topics[topic].count, what, why)
@@ -67,12 +60,7 @@ def efforts_on(topic: str) -> interfaces.Interface:
 def first_pulse(reader: BagReader, topic: str | None = None) -> int:
     """The stamp of the first pulse of a drive in a bag, ns; 0 without a pulse.
 
-    Args:
-        reader: of the bag.
-        topic: of the pulses; None for ``phase_reference``.
-
-    Raises:
-        BagError: the bag is damaged.
+    ``topic`` has the pulses; None for ``phase_reference``. Raises BagError for a damaged bag.
     """
     topic = topic or reader.find(interfaces.PHASE_REFERENCE)
     for _, message in () if topic is None else reader.messages(topic):
@@ -87,13 +75,9 @@ def with_recorded(
     epoch: int,
     warn: Callable[[str], object] = lambda _: None,
 ) -> System:
-    """The ``system`` with the live forces that a bag has.
+    """The ``system`` with the live forces that a bag has; its ``t = 0`` is at ``epoch``, ns.
 
-    Args:
-        reader: the bag.
-        system: of the rig.
-        epoch: stamp of ``t = 0``, ns.
-        warn: called with a line for each reason why samples were left out.
+    ``warn`` is called with a line for each reason why samples were left out.
 
     Raises:
         BagError: the bag is damaged.

@@ -3,7 +3,7 @@
 
 import statistics
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from impact_observer.errors import UsageError
@@ -26,12 +26,7 @@ SILENT_RATE = 50.0
 
 
 class SensorReader:
-    """Reads the samples of one sensor from the messages of its topic.
-
-    Attributes:
-        measurement: the declared measurement.
-        index: of the sensor.
-    """
+    """Reads the samples of one sensor, the ``index``-th, from the messages of its topic."""
 
     def __init__(self, measurement: Measurement, index: int, type_name: str) -> None:
         """A sensor on a topic with messages of the type ``type_name``.
@@ -53,8 +48,8 @@ class SensorReader:
             None if the message has no value of the joint: joints may share a topic.
 
         Raises:
-            UsageError: the message has no such field, or the field holds no single number, or the
-                message has no stamp in a header. The error names file and key.
+            UsageError: by file and key: the message has no such field, or the field holds no
+                single number, or the message has no stamp in a header.
         """
         given = self.measurement
         stamp = None if given.stamp == "receive" else header_stamp(message)
@@ -63,16 +58,14 @@ class SensorReader:
                 problem = f"header found, but a message of {given.topic} has no stamp in one"
                 raise given.wrong("stamp", f"{problem}; expected receive")
             stamp = received
-        value = self._of_joint(message) if given.joint else number_in(message, given)
-        return None if value is None else SensorSample(self.index, stamp - self._delay, value)
-
-    def _of_joint(self, message: AnyMessage) -> float | None:
-        given = self.measurement
-        if given.joint not in message.name:
-            return None
-        values = getattr(message, given.quantity)
-        i = list(message.name).index(given.joint)
-        return float(values[i]) if i < len(values) else None
+        if not given.joint:
+            value = number_in(message, given)
+        else:
+            places = dict(zip(message.name, getattr(message, given.quantity), strict=False))
+            if given.joint not in places:
+                return None
+            value = float(places[given.joint])
+        return SensorSample(self.index, stamp - self._delay, value)
 
 
 def number_in(message: AnyMessage, measurement: Measurement) -> float:
@@ -104,13 +97,9 @@ def joint_topics(reader: BagReader, declared: Sequence[Measurement]) -> list[str
 
 
 class RecordedSamples(NamedTuple):
-    """The samples of sensors in a bag.
+    """The samples of sensors in a bag by stamp, a line for each problem, and their topics.
 
-    Attributes:
-        samples: by stamp.
-        problems: a line for each problem.
-        topics: those of the sensors.
-        published: names of the sensors on whose samples verdicts are published.
+    Verdicts are published on the samples of the sensors with the names ``published``.
     """
 
     samples: Sequence[SensorSample] = ()
@@ -130,26 +119,29 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
         BagError: the bag is damaged.
     """
     samples, problems, published = list[SensorSample](), list[str](), set[str]()
-    by_topic = _by_topic(reader, measurements, problems)
+    by_topic: dict[str, list[SensorReader]] = {}
+    for i, declared in enumerate(measurements):
+        if (topic := topic_in(reader, declared)) is not None:
+            own = SensorReader(declared, i, reader.topics[topic].type)
+            by_topic.setdefault(topic, []).append(own)
+            continue
+        found = (
+            f"no {declared.topic} in {reader.path}; it has {', '.join(reader.topics) or 'none'}"
+        )
+        problems.append(str(declared.wrong("topic", found)))
+    if measurements and not by_topic:
+        raise UsageError(problems[0])
     for topic, readers in by_topic.items():
-        own = [*reader.messages(topic)]
+        messages = [*reader.messages(topic)]
         for each in readers:
-            made, lost = _read(each, own)
-            if own and not made:
-                given, joints = each.measurement, ", ".join(own[0][1].name) or "none"
-                problem = f"no {given.quantity} of {given.joint!r} on {topic}"
-                first = f"joints in its first message: {joints}"
-                remedy = f"; {given.quantity} says which coordinate the joint measures"
-                raise given.wrong("joint", f"{problem}; {first}{remedy}")
-            kept = _of_clock(made)
-            lost["stamped far from all others"] = len(made) - len(kept)
-            lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for s in kept)
+            name = each.measurement.name
+            kept, lost = _read(each, topic, messages)
             for why, count in (+lost).items():
-                part = part_left_out(count, len(own), f"messages on {topic}", why)
-                problems.append(f"{each.measurement.name}: {part}")
+                part = part_left_out(count, len(messages), f"messages on {topic}", why)
+                problems.append(f"{name}: {part}")
             samples += kept
             if _rate([sample.stamp for sample in kept]) <= SILENT_RATE:
-                published.add(each.measurement.name)
+                published.add(name)
     samples.sort(key=lambda sample: (sample.stamp, sample.sensor))
     return RecordedSamples(samples, problems, [*by_topic], frozenset(published))
 
@@ -161,44 +153,39 @@ def _rate(stamps: Collection[int]) -> float:
 
 
 def _read(
-    each: SensorReader, messages: Iterable[tuple[int, AnyMessage]]
-) -> tuple[list[tuple[int, SensorSample]], Counter[str]]:
-    """The samples in messages by time of recording, and counts of arrays that are too short."""
-    made, lost = list[tuple[int, SensorSample]](), Counter[str]()
+    each: SensorReader, topic: str, messages: Sequence[tuple[int, AnyMessage]]
+) -> tuple[list[SensorSample], Counter[str]]:
+    """The samples of a sensor in messages by time of recording, and why others are of no use.
+
+    Samples whose delay from stamp to reception is not within a minute of the median are left out.
+    """
+    made, lost, given = list[tuple[int, SensorSample]](), Counter[str](), each.measurement
     for received, message in messages:
+        sample = None
         try:
             sample = each.sample(message, received)
         except UsageError as error:
-            if "[" not in (each.measurement.field or ""):
+            if "[" not in (given.field or ""):  # else an array may be too short
                 raise
             lost[str(error)] += 1
-            continue
         if sample is not None:
-            made.append((received, sample))
-    return made, lost
-
-
-def _by_topic(
-    reader: BagReader, measurements: Sequence[Measurement], problems: list[str]
-) -> dict[str, list[SensorReader]]:
-    """Readers of the sensors whose topics are in the bag."""
-    readers: dict[str, list[SensorReader]] = {}
-    for i, each in enumerate(measurements):
-        topic = topic_in(reader, each)
-        if topic is None:
-            in_bag = ", ".join(reader.topics) or "none"
-            missing = each.wrong("topic", f"no {each.topic} in {reader.path}; it has {in_bag}")
-            problems.append(str(missing))
-            continue
-        readers.setdefault(topic, []).append(SensorReader(each, i, reader.topics[topic].type))
-    if measurements and not readers:
-        raise UsageError(problems[0])
-    return readers
+            made.append((received - sample.stamp, sample))
+    if messages and not made and given.joint:
+        problem = f"no {given.quantity} of {given.joint!r} on {topic}"
+        first = f"joints in its first message: {', '.join(messages[0][1].name) or 'none'}"
+        remedy = f"{given.quantity} says which coordinate the joint measures"
+        raise given.wrong("joint", f"{problem}; {first}; {remedy}")
+    usual = statistics.median(delay for delay, _ in made) if made else 0
+    most = _MOST_DELAY * NS_PER_S
+    kept = [sample for delay, sample in made if abs(delay - usual) <= most]
+    lost["stamped far from all others"] = len(made) - len(kept)
+    lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for s in kept)
+    return kept, lost
 
 
 def topic_in(reader: BagReader, measurement: Measurement) -> str | None:
     """The topic of a sensor in a bag; None if the bag has no such topic."""
-    name = f"/{measurement.topic.lstrip('/')}"
+    name = interfaces.absolute(measurement.topic)
     return name if name in reader.topics else None
 
 
@@ -206,10 +193,3 @@ def received_topics(reader: BagReader, measurements: Sequence[Measurement]) -> l
     """Topics of sensors in a bag whose stamps are the times of recording."""
     topics = [topic_in(reader, each) for each in measurements if each.stamp == "receive"]
     return [topic for topic in topics if topic is not None]
-
-
-def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[SensorSample]:
-    """The samples whose delay from stamp to reception is within a minute of the median delay."""
-    usual = statistics.median(at - sample.stamp for at, sample in samples) if samples else 0
-    most = _MOST_DELAY * NS_PER_S
-    return [sample for at, sample in samples if abs(at - sample.stamp - usual) <= most]

@@ -3,18 +3,20 @@
 
 ``rosbags`` and ``rclpy`` have message classes of their own, with the same attribute names and
 keyword arguments. :class:`Messages` takes either, so that the messages of a node and of a bag are
-equal byte for byte. Reading needs the attributes only.
+equal byte for byte. Reading needs the attributes only. Each field is converted and checked by its
+type in the definition of the message.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from rosbags.interfaces import Nodetype
 
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import (
@@ -34,13 +36,12 @@ from impact_observer.observer.misfit import EXPLAINED
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 from impact_observer.states import Estimate, Vector, frozen
 
-_MAX_UINT32 = 2**32 - 1
-_MAX_UINT64 = 2**64 - 1
 AnyMessage: TypeAlias = Any
 """A message, or a message class, of ``rosbags`` or of ``rclpy``: they have no common base."""
-_Kinds = TypeVar("_Kinds", bound=IntEnum)
-_Mirrored = TypeVar("_Mirrored", Verdict, SmoothedImpact, ImpactEstimate, MeasurementVerdict)
-"""Values with the fields of their messages."""
+_Value = TypeVar("_Value")
+_LARGEST = {"uint32": 2**32 - 1, "uint64": 2**64 - 1}
+_MOST_SWITCHES, _LONGEST_NAME, _LONGEST_FRAME = 100, 256, 4096
+"""Most contacts of an event; longest name of a contact, and of the frame, bytes."""
 
 
 class MessageError(ImpactObserverError, ValueError):
@@ -49,13 +50,9 @@ class MessageError(ImpactObserverError, ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointState:
-    """A state at a stamp; mirrors ``sensor_msgs/JointState``.
+    """The state of coordinates at a ``stamp`` (ns); mirrors ``sensor_msgs/JointState``.
 
-    Attributes:
-        stamp: when the state holds, ns.
-        names: the coordinates' names, n of them.
-        q: coordinates, shape (n,), m or rad.
-        u: velocities, shape (n,), m/s or rad/s.
+    Coordinates ``q`` (m or rad) and velocities ``u`` have the shape (n,).
     """
 
     stamp: int
@@ -77,23 +74,49 @@ class JointState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimateError:
-    """The error of an estimate; mirrors ``impact_observer_msgs/EstimateError``.
+    """Estimate minus truth at a ``stamp`` (ns); mirrors ``impact_observer_msgs/EstimateError``.
 
-    Attributes:
-        stamp: when both states hold, ns.
-        law: name of the observer's law.
-        v: Lyapunov distance V, J.
-        names: of the n coordinates.
-        q: estimate minus truth, shape (n,), m or rad.
-        u: estimate minus truth, shape (n,), m/s or rad/s.
+    ``v`` is the Lyapunov distance, J; the errors have the shape (n,), SI units.
     """
 
     stamp: int
     law: str
     v: float
     names: tuple[str, ...]
-    q: Vector
-    u: Vector
+    position_error: Vector
+    velocity_error: Vector
+
+
+class LiveSample(NamedTuple):
+    """The force of an input or joint at a stamp (ns), N, or N m of a joint that turns."""
+
+    name: str
+    stamp: int
+    value: float
+
+
+_TYPES: dict[type, str] = {
+    Switch: interfaces.CONTACT_SWITCH,
+    ImpactEvent: interfaces.IMPACT_EVENT,
+    Verdict: interfaces.EVENT_VERDICT,
+    MeasurementVerdict: interfaces.MEASUREMENT_VERDICT,
+    SmoothedImpact: interfaces.SMOOTHED_IMPACT,
+    ImpactEstimate: interfaces.IMPACT_ESTIMATE,
+    Estimate: interfaces.OBSERVER_STATE,
+    EstimateError: interfaces.ESTIMATE_ERROR,
+    JointState: interfaces.JOINT_STATE,
+}
+"""The message type of each value."""
+_FIELDS = {
+    "stamp": "header",
+    "names": "name",
+    "q": "position",
+    "u": "velocity",
+    "ruling": "verdict",
+}
+"""Fields that are called otherwise in messages."""
+_KINDS: dict[str, type[IntEnum]] = {"kind": Kind, "verdict": Ruling}
+"""Fields whose numbers have names."""
 
 
 class Messages:
@@ -105,114 +128,55 @@ class Messages:
     """
 
     def __init__(
-        self,
-        classes: Callable[[str], AnyMessage],
-        floats: Callable[[Vector], object],
+        self, classes: Callable[[str], AnyMessage], floats: Callable[[Vector], object]
     ) -> None:
-        """Use these message classes.
-
-        Args:
-            classes: finds a message class by its type name, such as ``std_msgs/msg/String``.
-            floats: converts an array of shape (k,) to the value of a ``float64[]`` field.
-        """
+        """``classes`` finds a class by the name of its type; ``floats`` makes a ``float64[]``."""
         self._classes = classes
         self._floats = floats
+        for kind in _TYPES:  # takes a fifth of a second, which the first event must not
+            _mirrored(kind)
 
-    def time(self, stamp: int) -> AnyMessage:
+    def time(self, stamp: int, field: str = "Time") -> AnyMessage:
         """``stamp`` (ns, or 0 for "unknown") as ``builtin_interfaces/Time``."""
-        _check_stamp("Time", stamp, earliest=0)
+        _check_stamp(field, stamp, earliest=0)
         seconds, nanoseconds = divmod(int(stamp), NS_PER_S)
         return self._classes(interfaces.TIME)(sec=seconds, nanosec=nanoseconds)
 
     def clock(self, stamp: int) -> AnyMessage:
         """``stamp`` (ns) as ``rosgraph_msgs/Clock``."""
-        return self._classes(interfaces.CLOCK)(clock=self.time(stamp))
+        return self._message(interfaces.CLOCK, clock=stamp)
+
+    def pulse(self, stamp: int) -> AnyMessage:
+        """An index pulse of a drive, as ``std_msgs/Header``."""
+        return self._header("Header.stamp", stamp)
 
     def model(self, model: str) -> AnyMessage:
         """A model file's text as ``std_msgs/String``."""
-        return self._classes(interfaces.STRING)(data=model)
+        return self._message(interfaces.STRING, data=model)
 
-    def event(self, event: ImpactEvent) -> AnyMessage:
-        """``event`` as ``impact_observer_msgs/ImpactEvent``."""
-        _check_counter("ImpactEvent.sequence", event.sequence, _MAX_UINT64)
-        _check_counter("ImpactEvent.episode", event.episode, _MAX_UINT32)
-        _check_stamp("ImpactEvent.epoch", event.epoch, earliest=0)
-        new_switch = self._classes(interfaces.CONTACT_SWITCH)
-        return self._classes(interfaces.IMPACT_EVENT)(
-            header=self._header("ImpactEvent", event.stamp),
-            sequence=event.sequence,
-            episode=event.episode,
-            epoch=self.time(event.epoch),
-            switches=[new_switch(contact=s.contact, kind=int(s.kind)) for s in event.switches],
-        )
+    def of(self, value: Any, **others: object) -> AnyMessage:  # noqa: ANN401 (by its type)
+        """A value of this package as its message; ``others`` are fields that the value lacks."""
+        kind: type = type(value)
+        values = {field: getattr(value, name) for name, field in _mirrored(kind).items()}
+        return self._message(_TYPES[kind], **values, **others)
+
+    # Callers name what they make; values with the fields of their message need no more than that.
+    event = smoothed_impact = impact_estimate = measurement_verdict = of
+    joint_state = estimate_error = of
 
     def verdict(self, verdict: Verdict, latency: float = 0.0) -> AnyMessage:
-        """A verdict as ``impact_observer_msgs/EventVerdict``.
-
-        ``latency`` is the time from stamp to application, s.
-        """
-        latency = _number("EventVerdict.latency", latency)
-        return self._mirror(interfaces.EVENT_VERDICT, verdict, "revises", latency=latency)
-
-    def smoothed_impact(self, impact: SmoothedImpact) -> AnyMessage:
-        """``impact`` as ``impact_observer_msgs/SmoothedImpact``."""
-        reported = self.time(impact.reported)
-        return self._mirror(interfaces.SMOOTHED_IMPACT, impact, "reported", reported=reported)
-
-    def impact_estimate(self, impact: ImpactEstimate) -> AnyMessage:
-        """``impact`` as ``impact_observer_msgs/ImpactEstimate``."""
-        return self._mirror(interfaces.IMPACT_ESTIMATE, impact)
-
-    def measurement_verdict(self, verdict: MeasurementVerdict) -> AnyMessage:
-        """``verdict`` as ``impact_observer_msgs/MeasurementVerdict``."""
-        return self._mirror(interfaces.MEASUREMENT_VERDICT, verdict)
-
-    def _mirror(
-        self, type_name: str, value: _Mirrored, without: str = "", **others: object
-    ) -> AnyMessage:
-        """A ``value`` as the message with the same fields.
-
-        Args:
-            type_name: of the message.
-            value: its field ``stamp`` is the header's, its ``ruling`` is called ``verdict``.
-            without: a field that the message does not have, or not so.
-            others: fields of the message that the value does not have, or not so.
-        """
-        name, own = type_name.rpartition("/")[2], value._asdict()
-        own.pop(without, None)
-        header, ruling = self._header(name, own.pop("stamp")), own.pop("ruling", None)
-        fields = {key: _checked(f"{name}.{key}", each) for key, each in own.items()}
-        if ruling is not None:
-            fields["verdict"] = int(ruling)
-        return self._classes(type_name)(header=header, **fields, **others)
+        """A verdict; ``latency`` is the time from stamp to application, s."""
+        return self.of(verdict, latency=latency)
 
     def estimate(self, estimate: Estimate, names: Sequence[str]) -> AnyMessage:
         """``estimate`` as ``impact_observer_msgs/ObserverState``; ``names`` of coordinates."""
-        n = len(names)
-        _check_counter("ObserverState.last_sequence", estimate.last_sequence, _MAX_UINT64)
-        _check_stamp("ObserverState.last_event", estimate.last_event, earliest=0)
-        entries = 4 * n * n if estimate.covariance.size else 0
-        parameters = [each for _, each, _ in estimate.parameters]
-        deviations = [each for _, _, each in estimate.parameters]
-        learned = len(parameters)
-        return self._classes(interfaces.OBSERVER_STATE)(
-            header=self._header("ObserverState", estimate.stamp),
-            law=estimate.law,
-            name=list(names),
-            position=self._array("ObserverState.position", estimate.q, n),
-            velocity=self._array("ObserverState.velocity", estimate.u, n),
-            covariance=self._array("ObserverState.covariance", estimate.covariance, entries),
-            closed=list(estimate.closed),
-            convergence=_number("ObserverState.convergence", estimate.convergence),
-            synchronized=bool(estimate.synchronized),
-            clock_offset=_number("ObserverState.clock_offset", estimate.clock_offset),
-            last_sequence=estimate.last_sequence,
-            last_event=self.time(estimate.last_event),
-            parameter_name=[name for name, _, _ in estimate.parameters],
-            parameter=self._array("ObserverState.parameter", parameters, learned),
-            parameter_deviation=self._array(
-                "ObserverState.parameter_deviation", deviations, learned
-            ),
+        learned, values, deviations = [*zip(*estimate.parameters, strict=True)] or ((), (), ())
+        return self.of(
+            estimate,
+            name=names,
+            parameter_name=learned,
+            parameter=values,
+            parameter_deviation=deviations,
         )
 
     def joint_state_of(self, estimate: AnyMessage) -> AnyMessage:
@@ -225,46 +189,21 @@ class Messages:
             effort=self._floats(np.empty(0)),
         )
 
-    def joint_state(self, state: JointState) -> AnyMessage:
-        """``state`` as ``sensor_msgs/JointState``, without efforts."""
-        return self._joints(state.stamp, state.names, position=state.q, velocity=state.u)
-
     def positions(self, stamp: int, names: Sequence[str], values: ArrayLike) -> AnyMessage:
         """Numbers by name as the positions of ``sensor_msgs/JointState``, without velocities."""
-        return self._joints(stamp, names, position=values)
+        return self._message(interfaces.JOINT_STATE, header=stamp, name=names, position=values)
 
     def forces(self, stamp: int, forces: Mapping[str, float]) -> AnyMessage:
         """Forces of inputs by name, N, as ``sensor_msgs/JointState`` with efforts only."""
-        return self._joints(stamp, [*forces], effort=[*forces.values()])
-
-    def _joints(self, stamp: int, names: Sequence[str], **given: ArrayLike) -> AnyMessage:
-        """A ``sensor_msgs/JointState`` with the ``given`` fields, of a number for each name."""
-        header = self._header("JointState", stamp)
-        fields = {
-            key: self._array(f"JointState.{key}", given[key], len(names))
-            if key in given
-            else self._floats(np.empty(0))
-            for key in ("position", "velocity", "effort")
-        }
-        return self._classes(interfaces.JOINT_STATE)(header=header, name=list(names), **fields)
-
-    def estimate_error(self, error: EstimateError) -> AnyMessage:
-        """``error`` as ``impact_observer_msgs/EstimateError``."""
-        n = len(error.names)
-        return self._classes(interfaces.ESTIMATE_ERROR)(
-            header=self._header("EstimateError", error.stamp),
-            law=error.law,
-            v=_number("EstimateError.v", error.v),
-            name=list(error.names),
-            position_error=self._array("EstimateError.position_error", error.q, n),
-            velocity_error=self._array("EstimateError.velocity_error", error.u, n),
-        )
+        names, values = [*forces], [*forces.values()]
+        return self._message(interfaces.JOINT_STATE, header=stamp, name=names, effort=values)
 
     def bound(self, estimate: Estimate) -> AnyMessage:
         """The certified bound of ``estimate``'s V, as an error without coordinates."""
-        empty = frozen(np.empty(0))
-        error = EstimateError(estimate.stamp, estimate.law, estimate.bound, (), empty, empty)
-        return self.estimate_error(error)
+        nothing = np.empty(0)
+        return self.of(
+            EstimateError(estimate.stamp, estimate.law, estimate.bound, (), nothing, nothing)
+        )
 
     def misfit(self, estimate: Estimate, node: str) -> AnyMessage:
         """The misfit of an estimate, or that there is none, as the ``node`` diagnoses it."""
@@ -275,49 +214,39 @@ class Messages:
             hardware_id="",
             values=[],
         )
-        header = self._header("DiagnosticArray", estimate.stamp)
-        return self._classes(interfaces.DIAGNOSTICS)(header=header, status=[status])
+        return self._message(interfaces.DIAGNOSTICS, header=estimate.stamp, status=[status])
 
-    def pulse(self, stamp: int) -> AnyMessage:
-        """An index pulse of a drive."""
-        return self._header("Header", stamp)
-
-    def _header(self, kind: str, stamp: int) -> AnyMessage:
+    def _header(self, field: str, stamp: int) -> AnyMessage:
         """A header with a stamp, which must not be 0."""
-        _check_stamp(f"{kind}.header.stamp", stamp)
+        _check_stamp(field, stamp)
         return self._classes(interfaces.HEADER)(stamp=self.time(stamp), frame_id="")
 
-    def _array(self, field: str, values: ArrayLike, count: int) -> object:
-        """The value of a ``float64[]`` field of ``count`` finite numbers, row by row."""
-        return self._floats(_numbers(field, values, count).reshape(-1))
+    def _message(self, type_name: str, **values: Any) -> AnyMessage:  # noqa: ANN401 (by the type)
+        """A message of ``values`` by field: stamps in ns, arrays; arrays left out are empty."""
+        made = dict[str, object]()
+        for name, (field, of_type) in _fields(type_name).items():
+            value = values.get(name, ())
+            if of_type == interfaces.HEADER:
+                value = self._header(f"{field}.stamp", value)
+            elif of_type == interfaces.TIME:
+                value = self.time(value, field)
+            elif of_type == "float64[]":
+                count = _count(name, len(value), values) if name in values else 0
+                value = self._floats(_numbers(field, value, count).reshape(-1))
+            elif of_type.endswith("[]"):
+                value = [self.of(each) if type(each) in _TYPES else each for each in value]
+            elif of_type.startswith("uint"):
+                value = _counter(field, value, of_type)
+            elif of_type == "float64":
+                value = _number(field, value)
+            made[name] = bool(value) if of_type == "bool" else value
+        return self._classes(type_name)(**made)
 
 
 @cache
 def bag_messages() -> Messages:
     """Makes messages of the classes of ``rosbags``, to be written to a bag."""
     return Messages(typestore().types.__getitem__, np.array)
-
-
-def read_stamp(field: str, time: AnyMessage, earliest: int = 1) -> int:
-    """The stamp of a message, ns.
-
-    Args:
-        field: its name in the error.
-        time: the message's field.
-        earliest: the smallest stamp allowed, ns; 0 where a stamp may be unknown.
-
-    Raises:
-        MessageError: the stamp is before ``earliest``, or its nanoseconds are 1e9 or more.
-    """
-    if not 0 <= time.nanosec < NS_PER_S:
-        raise MessageError(f"{field}.nanosec is {time.nanosec}; expected less than {NS_PER_S}")
-    stamp = int(time.sec) * NS_PER_S + int(time.nanosec)
-    _check_stamp(field, stamp, earliest=earliest)
-    return stamp
-
-
-_MOST_SWITCHES, _LONGEST_NAME, _LONGEST_FRAME = 100, 256, 4096
-"""Most contacts of an event; longest name of a contact, and of the frame, bytes."""
 
 
 def read_event(message: AnyMessage) -> ImpactEvent:
@@ -335,16 +264,7 @@ def read_event(message: AnyMessage) -> ImpactEvent:
     ):
         if number > most:
             raise MessageError(f"{number} {what}; expected at most {most}")
-    return ImpactEvent(
-        stamp=read_stamp("ImpactEvent.header.stamp", message.header.stamp),
-        switches=tuple(
-            Switch(switch.contact, _member(Kind, f"ImpactEvent.switches[{i}].kind", switch.kind))
-            for i, switch in enumerate(message.switches)
-        ),
-        sequence=int(message.sequence),
-        episode=int(message.episode),
-        epoch=read_stamp("ImpactEvent.epoch", message.epoch, earliest=0),
-    )
+    return _read(ImpactEvent, message)
 
 
 def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
@@ -353,7 +273,7 @@ def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
     Raises:
         MessageError: its stamp is not after 0, the ruling is unknown, or a number is not finite.
     """
-    verdict = _read_mirrored(Verdict, interfaces.EVENT_VERDICT, message)
+    verdict = _read(Verdict, message)
     revises = verdict.reason.startswith(REVISED)
     return verdict._replace(revises=revises), float(message.latency)
 
@@ -362,85 +282,36 @@ def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
     """The estimate of an impact in a message.
 
     Raises:
-        MessageError: its stamp is not after 0, the ruling is unknown, or a number is not finite.
+        MessageError: as of :func:`read_verdict`.
     """
-    return _read_mirrored(ImpactEstimate, interfaces.IMPACT_ESTIMATE, message)
-
-
-def _read_mirrored(kind: type[_Mirrored], type_name: str, message: AnyMessage) -> _Mirrored:
-    """The value in a message that ``Messages`` has made of it."""
-    name, fields = type_name.rpartition("/")[2], dict[str, Any]()
-    for key in kind._fields:
-        if key == "stamp":
-            fields[key] = read_stamp(f"{name}.header.stamp", message.header.stamp)
-        elif key == "ruling":
-            fields[key] = _member(Ruling, f"{name}.verdict", message.verdict)
-        elif hasattr(message, key):
-            fields[key] = _checked(f"{name}.{key}", getattr(message, key))
-    return kind(**fields)
+    return _read(ImpactEstimate, message)
 
 
 def read_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
     """The coordinates' names and the estimate in a message.
 
     Raises:
-        MessageError: its stamp is not after 0, a state is not finite, or lengths do not fit.
+        MessageError: its stamp is not after 0, a number is not finite, or lengths do not fit.
     """
-    n = len(message.name)
-    side = 2 * n if len(message.covariance) else 0
-    covariance = _numbers("ObserverState.covariance", message.covariance, side * side)
-    estimate = Estimate(
-        stamp=read_stamp("ObserverState.header.stamp", message.header.stamp),
-        law=message.law,
-        q=frozen(_numbers("ObserverState.position", message.position, n)),
-        u=frozen(_numbers("ObserverState.velocity", message.velocity, n)),
-        covariance=frozen(covariance.reshape(side, side)),
-        closed=tuple(message.closed),
-        convergence=float(message.convergence),
-        synchronized=bool(message.synchronized),
-        clock_offset=float(message.clock_offset),
-        parameters=tuple(
-            zip(
-                message.parameter_name,
-                map(float, message.parameter),
-                map(float, message.parameter_deviation),
-                strict=True,
-            )
-        ),
-        last_sequence=int(message.last_sequence),
-        last_event=read_stamp("ObserverState.last_event", message.last_event, earliest=0),
+    values, names = _values(Estimate, message), tuple(message.parameter_name)
+    learned = (
+        _numbers(f"ObserverState.{each}", getattr(message, each), len(names)).tolist()
+        for each in ("parameter", "parameter_deviation")
     )
-    return tuple(message.name), estimate
+    side = 2 * len(message.name) if values["covariance"].size else 0
+    values["covariance"] = values["covariance"].reshape(side, side)
+    parameters = tuple(zip(names, *learned, strict=True))
+    return tuple(message.name), Estimate(**values, parameters=parameters)
 
 
 def read_joint_state(message: AnyMessage) -> JointState:
-    """The state in a message.
+    """The state in a ``sensor_msgs/JointState``, or in a message with the same fields.
 
     Raises:
         MessageError: its stamp is not after 0, a number is not finite, or there is not one
             position and one velocity for each name.
     """
-    n = len(message.name)
-    return JointState(
-        stamp=read_stamp("JointState.header.stamp", message.header.stamp),
-        names=tuple(message.name),
-        q=frozen(_numbers("JointState.position", message.position, n)),
-        u=frozen(_numbers("JointState.velocity", message.velocity, n)),
-    )
-
-
-class LiveSample(NamedTuple):
-    """A sample of a force.
-
-    Attributes:
-        name: of the input or joint.
-        stamp: time of validity, ns.
-        value: N, or N m of a joint that turns.
-    """
-
-    name: str
-    stamp: int
-    value: float
+    return _read(JointState, message)
 
 
 def read_efforts(message: AnyMessage) -> list[LiveSample]:
@@ -458,12 +329,80 @@ def read_efforts(message: AnyMessage) -> list[LiveSample]:
 
 
 def read_pulse(message: AnyMessage) -> int:
-    """The stamp of a ``std_msgs/Header``, at which the phase of the drive is zero, ns.
+    """The stamp of an index pulse, a ``std_msgs/Header``, ns; MessageError where it is 0."""
+    return read_stamp("Header.stamp", message.stamp)
+
+
+def read_stamp(field: str, time: AnyMessage, earliest: int = 1) -> int:
+    """The stamp in the ``field`` of a message, ns; ``earliest`` is 0 where it may be unknown.
 
     Raises:
-        MessageError: it is not after 0.
+        MessageError: the stamp is before ``earliest``, or its nanoseconds are 1e9 or more.
     """
-    return read_stamp("Header.stamp", message.stamp)
+    if not 0 <= time.nanosec < NS_PER_S:
+        raise MessageError(f"{field}.nanosec is {time.nanosec}; expected less than {NS_PER_S}")
+    stamp = int(time.sec) * NS_PER_S + int(time.nanosec)
+    _check_stamp(field, stamp, earliest=earliest)
+    return stamp
+
+
+def _read(kind: type[_Value], message: AnyMessage) -> _Value:
+    """The value in a message."""
+    return kind(**_values(kind, message))
+
+
+def _values(kind: type, message: AnyMessage) -> dict[str, Any]:
+    """The fields of a value that are in its message."""
+    known, values = _fields(_TYPES[kind]), dict[str, Any]()
+    for key, name in _mirrored(kind).items():
+        (field, of_type), value = known[name], getattr(message, name)
+        if of_type == interfaces.HEADER:
+            value = read_stamp(f"{field}.stamp", value.stamp)
+        elif of_type == interfaces.TIME:
+            value = read_stamp(field, value, earliest=0)
+        elif of_type == "float64[]":
+            count = _count(name, len(value), {"name": message.name})
+            value = frozen(_numbers(field, value, count))
+        elif of_type == interfaces.CONTACT_SWITCH + "[]":
+            value = tuple(_read(Switch, each) for each in value)
+        elif of_type == "float64":
+            value = _number(field, value)
+        elif name in _KINDS:
+            value = _member(_KINDS[name], field, value)
+        values[key] = tuple(value) if of_type == "string[]" else value
+    return values
+
+
+@cache
+def _mirrored(kind: type) -> dict[str, str]:
+    """Names of the fields of a value that are in its message, and their names there."""
+    own: Sequence[str] = getattr(kind, "_fields", ()) or [each.name for each in fields(kind)]
+    named = {name: _FIELDS.get(name, name) for name in own}
+    return {name: field for name, field in named.items() if field in _fields(_TYPES[kind])}
+
+
+@cache
+def _fields(type_name: str) -> dict[str, tuple[str, str]]:
+    """Names of the fields of a message type, their names in errors, and types (``float64[]``)."""
+    kind, (_, descriptions) = type_name.rpartition("/")[2], typestore().fielddefs[type_name]
+    return {name: (f"{kind}.{name}", _name_of_type(each)) for name, each in descriptions}
+
+
+def _name_of_type(description: Any) -> str:  # noqa: ANN401 (as rosbags describes it)
+    node, detail = description
+    if node is Nodetype.NAME:
+        return str(detail)
+    return str(detail[0]) if node is Nodetype.BASE else f"{_name_of_type(detail[0])}[]"
+
+
+def _count(field: str, given: int, values: Mapping[str, Any]) -> int:
+    """How many numbers an array must have that has ``given`` rows or numbers."""
+    if field.startswith("parameter"):
+        return len(values["parameter_name"])
+    n = len(values["name"])
+    if field == "covariance":  # of a law that has one
+        return 4 * n * n if given else 0
+    return n
 
 
 def _check_stamp(field: str, stamp: int, earliest: int = 1) -> None:
@@ -475,19 +414,12 @@ def _check_stamp(field: str, stamp: int, earliest: int = 1) -> None:
         )
 
 
-def _check_counter(field: str, value: int, highest: int) -> None:
-    """Check that ``value`` fits an unsigned field."""
+def _counter(field: str, value: int, of_type: str) -> int:
+    """``value``, checked to fit an unsigned field."""
+    highest = _LARGEST.get(of_type, 255)
     if not 0 <= value <= highest:
         raise MessageError(f"{field} is {value}; expected 0 to {highest}")
-
-
-def _checked(field: str, value: object) -> object:
-    """The value of a field: a text, a truth, a counter or a finite number."""
-    if isinstance(value, float):
-        return _number(field, value)
-    if isinstance(value, int) and not isinstance(value, bool):
-        _check_counter(field, value, _MAX_UINT64)
-    return value
+    return int(value)
 
 
 def _number(field: str, value: float) -> float:
@@ -508,7 +440,7 @@ def _numbers(field: str, values: ArrayLike, count: int) -> Vector:
     return array
 
 
-def _member(kinds: type[_Kinds], field: str, value: int) -> _Kinds:
+def _member(kinds: type[IntEnum], field: str, value: int) -> IntEnum:
     """The member of an enumeration with a value, checked to exist."""
     try:
         return kinds(value)

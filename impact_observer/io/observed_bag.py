@@ -22,10 +22,9 @@ from impact_observer.events import (
     rejected_impacts,
 )
 from impact_observer.io import interfaces
-from impact_observer.io.interfaces import Interface
 from impact_observer.io.live_inputs import efforts_on, first_pulse, give_recorded
 from impact_observer.io.measured_samples import NO_SENSORS, RecordedSamples
-from impact_observer.io.messages import AnyMessage, bag_messages
+from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
 from impact_observer.io.writer import BagWriter
@@ -45,7 +44,10 @@ OBSERVER = "observer"
 """The node that publishes estimates, where no other is named."""
 Serialize: TypeAlias = Callable[[str, object], bytes]
 """Makes bytes of a topic and a message of its type."""
+_COPIED = (*PLANT_TOPICS, interfaces.FORCING, interfaces.PHASE_REFERENCE)
 _Judged: TypeAlias = Verdict | MeasurementVerdict
+_Message: TypeAlias = tuple[int, str, bytes]
+"""Log time (ns), topic and bytes."""
 
 
 def observe_bag(
@@ -91,40 +93,47 @@ def observe_bag(
         warn(line)
     for line in give_inputs(reader, observer):
         warn(line)
-    copied_topics = (*PLANT_TOPICS, interfaces.FORCING, interfaces.PHASE_REFERENCE)
-    topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
+    topics = [topic for each in _COPIED if (topic := reader.find(each)) is not None]
     topics += [topic for topic in measured.topics if topic not in topics]
+    verdicts, impacts = list[Verdict](), Impacts()
     with all_or_nothing(output) as writer:
         for topic in topics:
             info = reader.topics[topic]
             own = info.definition if topic in measured.topics else ""
             writer.declare(topic, type_name=info.type, quality=info.quality, definition=own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
-        messages = _ObserverMessages(
-            writer, observer.system.coordinates, lambda done: progress(done, stamps.size)
-        )
-        impacts: Impacts = {}
         items = replay_batches(observer, events, stamps, rejects=True, samples=measured.samples)
         items = noting_impacts(items, observer, impacts)
-        made = messages.serialized(_with_samples(items, observer, measured.published))
-        log_time = 0
+        done, log_time = 0, 0
+
+        def step() -> None:
+            nonlocal done
+            done += 1
+            progress(done, stamps.size)
+
+        ordered = in_log_order(_with_samples(items, observer, measured.published))
+        made = _messages(ordered, writer, observer.system.coordinates, verdicts, step)
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
-        topic, make = interfaces.OBSERVER_IMPACTS.topic, bag_messages()
-        every = [*impacts.values(), *rejected_impacts(messages.final, events)]
+        final = final_rulings(verdicts)
+        every = [*impacts.values(), *rejected_impacts(final, events)]
         for each in sorted(every, key=attrgetter("stamp")):  # the last verdict decides on each
-            writer.write(topic, log_time, make.impact_estimate(each))
+            message = bag_messages().impact_estimate(each)
+            writer.write(interfaces.OBSERVER_IMPACTS.topic, log_time, message)
         observer.require_start()
         is_later = stamps.size and stamps[-1] > observer.last_event > 0
         if is_later and (silence := observer.silence(int(stamps[-1]))):
             warn(f"after the last event, {text(observer.last_event)} s, {silence}")
-        rulings = count_rulings(messages.final, {event.stamp for event in events})
+        rulings = count_rulings(final, {event.stamp for event in events})
         if rulings and not rulings[Ruling.APPLIED]:
+            refused = next(each for each in verdicts if each.ruling is not Ruling.APPLIED)
+            words = [refused.ruling.name.lower().replace("_", " "), refused.reason]
             raise BagError(
                 f"{reader.path}: none of its {sum(rulings.values())} impacts and releases was"
-                f" applied; the first: {messages.refusal}"
+                f" applied; the first: {', '.join(filter(None, words))}"
             )
-    return messages.estimates, +(messages.others + rulings)
+    others = Counter(each.ruling for each in verdicts if each.ruling not in DECIDING)
+    return done, +(others + rulings)
 
 
 def _check_events(
@@ -185,14 +194,13 @@ def sample_stamps(
     if rate is None:
         if truth is None or not reader.topics[truth].count:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
-        return _stamps_of(reader, truth)
-    used = used_of(events)
-    if not used:
+        return np.unique(reader.stamps(truth))
+    if not (used := used_of(events)):
         return np.empty(0, dtype=np.int64)
     start = max(epoch or used[0].epoch or used[0].stamp, reader.low)
     last = max(each.stamp for each in used)
     if truth:
-        last = max(last, int(_stamps_of(reader, truth).max()))
+        last = max(last, int(reader.stamps(truth).max(initial=0)))
     return grid(start, last, rate)
 
 
@@ -209,11 +217,7 @@ def unseen_events(events: Sequence[ImpactEvent], stamps: Stamps) -> str:
 
 
 def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
-    """Give an observer all live samples of a bag; a line for each reason why some are left out.
-
-    Raises:
-        BagError: the bag is damaged.
-    """
+    """Give an observer all live samples of a bag; a line for each reason why some are left out."""
     forces = None if observer.robot is None else observer.robot.description.forces
     if forces is None:
         return give_recorded(reader, observer.live)
@@ -221,22 +225,13 @@ def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
 
 
 def check_count(reader: BagReader, stamps: Stamps) -> None:
-    """Refuse more estimates than ``_MOST_ESTIMATES``.
-
-    Raises:
-        UsageError: naming the limit, and until when estimates would be made.
-    """
+    """Refuse more estimates than ``_MOST_ESTIMATES``, as UsageError."""
     if stamps.size > _MOST_ESTIMATES:
         raise UsageError(
             f"{reader.path}: {stamps.size} estimates; expected at most {_MOST_ESTIMATES}; they"
             f" would go on until {text(int(stamps[-1]))} s; lower --rate, or take parts by --start"
             " and --duration"
         )
-
-
-def _stamps_of(reader: BagReader, topic: str) -> Stamps:
-    """All stamps of a topic of states, ns, ascending, each once."""
-    return np.unique(reader.stamps(topic))
 
 
 def in_log_order(
@@ -265,14 +260,8 @@ def in_log_order(
 
 def messages_of(
     estimate: Estimate, names: tuple[str, ...], serialize: Serialize, owner: str = OBSERVER
-) -> Iterator[tuple[int, str, bytes]]:
-    """Yields log time (ns), topic and bytes of the two messages of an estimate.
-
-    Args:
-        estimate: of the node ``owner``.
-        names: of the coordinates.
-        serialize: makes the bytes.
-        owner: the node's name.
+) -> Iterator[_Message]:
+    """Log times (ns), topics and bytes of the two messages of an estimate of the node ``owner``.
 
     Raises:
         MessageError: a message cannot carry the estimate.
@@ -287,49 +276,34 @@ def messages_of(
         yield estimate.stamp, topic, serialize(topic, message)
 
 
-class _ObserverMessages:
-    """Makes the messages of estimates and verdicts, and counts them."""
+def _messages(
+    items: Iterable[tuple[int, Estimate | _Judged]],
+    writer: BagWriter,
+    names: tuple[str, ...],
+    verdicts: list[Verdict],
+    step: Callable[[], None],
+) -> Iterator[_Message]:
+    """The messages of estimates, with bound and misfit where these are new, and of verdicts.
 
-    def __init__(
-        self, writer: BagWriter, names: tuple[str, ...], progress: Callable[[int], None]
-    ) -> None:
-        self.estimates = 0
-        self.others = Counter[Ruling]()  # of verdicts that do not decide on an event
-        self.final: dict[tuple[int, int, str], Ruling] = {}
-        self.refusal = ""  # fate of the first event that was not applied
-        self._serialize = writer.serialized
-        self._names = names
-        self._progress = progress
-        self._bound = -1.0
-        self._misfit = ""
-
-    def serialized(self, items: Iterable[Estimates | _Judged]) -> Iterator[tuple[int, str, bytes]]:
-        """Yields log time (ns), topic and bytes of each message of ``items``."""
-        for log_time, item in in_log_order(items):
-            if isinstance(item, Estimate):
-                yield from messages_of(item, self._names, self._serialize)
-            for interface, message in self._others(item):
-                yield log_time, interface.topic, self._serialize(interface.topic, message)
-
-    def _others(self, item: Estimate | _Judged) -> Iterator[tuple[Interface, AnyMessage]]:
-        """The message of a verdict; with an estimate its bound and misfit where new."""
-        make = bag_messages()
+    Verdicts on events are added to ``verdicts``; ``step`` is called after each estimate.
+    """
+    make, bound, misfit = bag_messages(), -1.0, ""
+    for log_time, item in items:
+        others: list[tuple[interfaces.Interface, object]] = []
         if isinstance(item, Verdict):
-            yield interfaces.OBSERVER_VERDICTS, make.verdict(item)
-            self.final |= final_rulings([item])
-            if not self.refusal and item.ruling is not Ruling.APPLIED:
-                name = item.ruling.name.lower().replace("_", " ")
-                self.refusal = f"{name}, {item.reason}" if item.reason else name
-            self.others[item.ruling] += item.ruling not in DECIDING
-            return
-        if isinstance(item, MeasurementVerdict):
-            yield interfaces.OBSERVER_MEASUREMENTS, make.measurement_verdict(item)
-            return
-        if item.bound != self._bound:
-            self._bound = item.bound
-            yield interfaces.OBSERVER_BOUND, make.bound(item)
-        if item.misfit != self._misfit:
-            self._misfit = item.misfit
-            yield interfaces.DIAGNOSTIC_ARRAYS, make.misfit(item, f"/{OBSERVER}")
-        self.estimates += 1
-        self._progress(self.estimates)
+            verdicts.append(item)
+            others = [(interfaces.OBSERVER_VERDICTS, make.verdict(item))]
+        elif isinstance(item, MeasurementVerdict):
+            others = [(interfaces.OBSERVER_MEASUREMENTS, make.measurement_verdict(item))]
+        else:
+            yield from messages_of(item, names, writer.serialized)
+            if item.bound != bound:
+                bound = item.bound
+                others.append((interfaces.OBSERVER_BOUND, make.bound(item)))
+            if item.misfit != misfit:
+                misfit = item.misfit
+                diagnosed = make.misfit(item, f"/{OBSERVER}")
+                others.append((interfaces.DIAGNOSTIC_ARRAYS, diagnosed))
+            step()
+        for own, message in others:
+            yield log_time, own.topic, writer.serialized(own.topic, message)

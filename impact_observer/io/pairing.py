@@ -13,20 +13,10 @@ HOLD = 10 * NS_PER_S
 """Longest time by which a state may be older than one before it in the bag, ns: an observer
 publishes an estimate again when a late event corrects the state."""
 Samples: TypeAlias = NDArray[np.void]
-"""States at stamps, rows of ``sample_type``."""
+"""States at stamps, as of ``samples_of``."""
 Pairs: TypeAlias = NDArray[np.void]
 """Rows with the ``stamp`` (ns), the states ``truth`` and ``estimate``, shape (2n,), and the
 ``last_event`` and ``deviation`` of the estimate; ascending stamps."""
-
-
-def sample_type(size: int, *, has_deviations: bool = False) -> np.dtype[np.void]:
-    """A ``stamp`` (ns), a state ``x`` (q, u) of ``size`` numbers, and its ``last_event``.
-
-    ``last_event`` is the stamp of the last event that an estimate contains, ns, 0 for none. The
-    ``deviation`` has the standard deviations of ``x``, or no number.
-    """
-    deviations = ("deviation", "f8", (size if has_deviations else 0,))
-    return np.dtype([("stamp", "i8"), ("last_event", "i8"), ("x", "f8", (size,)), deviations])
 
 
 def samples_of(
@@ -35,36 +25,31 @@ def samples_of(
     last_event: Stamps | None = None,
     deviations: NDArray[np.float64] | None = None,
 ) -> Samples:
-    """States ``x`` with their ``deviations``, shape (samples, 2n), at ``stamps`` (ns).
+    """States as rows of ``stamp``, ``last_event``, ``x`` and ``deviation``.
 
-    Without ``last_event`` every estimate contains all events before it.
+    Args:
+        stamps: ns, shape (samples,).
+        x: states (q, u), shape (samples, 2n).
+        last_event: stamp of the last event that each contains, ns, 0 for none; None where each
+            contains all events before it.
+        deviations: standard deviations of ``x``; None for rows without.
     """
-    kind = sample_type(x.shape[1], has_deviations=deviations is not None)
-    samples = np.empty(stamps.size, kind)
-    samples["stamp"], samples["x"] = stamps, x
-    if deviations is not None:
-        samples["deviation"] = deviations
+    deviations = np.empty((stamps.size, 0)) if deviations is None else deviations
+    row = [("stamp", "i8"), ("last_event", "i8"), ("x", "f8", x.shape[1:])]
+    samples = np.empty(stamps.size, [*row, ("deviation", "f8", deviations.shape[1:])])
+    samples["stamp"], samples["x"], samples["deviation"] = stamps, x, deviations
     samples["last_event"] = np.iinfo(np.int64).max if last_event is None else last_event
     return samples
 
 
 def fresh(samples: Samples) -> Samples:
-    """Samples without stale ones, which are more than ``HOLD`` older than an earlier sample.
-
-    Args:
-        samples: states in the order of the bag.
-    """
+    """Samples, in the order of the bag, without those more than ``HOLD`` older than one before."""
     newest = np.maximum.accumulate(samples["stamp"]) if samples.size else samples["stamp"]
     return np.asarray(samples[samples["stamp"] > newest - HOLD])
 
 
 def paired(truth: Samples, estimates: Samples) -> Pairs:
-    """Truth and estimates at their common stamps; of equal stamps the last state counts.
-
-    Args:
-        truth: true states, in any order.
-        estimates: estimated states, in any order.
-    """
+    """Truth and estimates, in any order, at their common stamps; of equal ones the last counts."""
     true_states, estimated = _last_of_each_stamp(truth), _last_of_each_stamp(estimates)
     common, of_truth, of_estimates = np.intersect1d(
         true_states["stamp"], estimated["stamp"], assume_unique=True, return_indices=True
@@ -94,15 +79,12 @@ def stamp_range(samples: Samples) -> str:
 
 
 def arrived(stamps: Stamps, last_event: Stamps, reported: Stamps) -> NDArray[np.bool_]:
-    """Mask of the estimates that contain all events before them.
-
-    The other estimates were published too early.
+    """Mask of the estimates that contain all events before them, and came not too early.
 
     Args:
         stamps: of the estimates, ns, shape (samples,).
         last_event: stamp of the last event that each contains, ns, shape (samples,).
-        reported: stamps of the reported events that the observer used, ns, ascending, shape
-            (reported,).
+        reported: stamps of the events that the observer used, ns, ascending, shape (reported,).
     """
     due = np.concatenate([[0], reported])
     return np.asarray(last_event >= due[np.searchsorted(due, stamps, side="right") - 1])

@@ -14,81 +14,60 @@ from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, TypeVar, cast, final
+from typing import NamedTuple, TypeVar, final
 
 import numpy as np
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
-from rosbags.typesys.store import Typestore
 
-from impact_observer.errors import (
-    BagError,
-    ImpactObserverError,
-    ModelError,
-    UnfitBagError,
-    UsageError,
-)
+from impact_observer.errors import BagError, ImpactObserverError, ModelError, UnfitBagError
 from impact_observer.events import ImpactEstimate, ImpactEvent, Verdict
-from impact_observer.input_files import check_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_files import (
     FROM_ROS_1,
-    bag_files,
+    checked_files,
     has_end,
     recover_command,
     reindex_command,
     storage_of,
-    views_in,
     write_whole,
 )
 from impact_observer.io.interfaces import Interface, Quality
 from impact_observer.io.messages import (
     AnyMessage,
+    JointState,
     MessageError,
+    read_estimate,
     read_event,
     read_impact_estimate,
+    read_joint_state,
     read_stamp,
     read_verdict,
 )
-from impact_observer.io.state_arrays import (
-    JointStates,
-    ObserverStates,
-    StateCollector,
-    joined,
-)
+from impact_observer.io.state_arrays import RecordedStates, state_arrays
 from impact_observer.io.typestores import (
     add_definition,
     begins_with_stamp,
     deserialize,
     new_typestore,
 )
-from impact_observer.model.yaml_text import load_yaml
 from impact_observer.plain_text import say
-from impact_observer.resources import read_text
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Stamps
+from impact_observer.states import Estimate, Stamps
 
 _Value = TypeVar("_Value")
-
-_MOST_NESTED = 1000
-"""Brackets, and letters of a line, up to which metadata cannot be nested too deeply."""
-_WRONG_KIND = "rows without a whole log time (ns) and bytes"
-_BLOCK = 1024
-"""Most states in a block."""
+_STEP = 1024
+"""States from one call of ``progress`` to the next."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """A topic of a bag.
+    """A topic of a bag, by its absolute name.
 
-    Attributes:
-        name: the absolute name.
-        type: the message type; several joined by `` and `` when publishers disagreed.
-        count: messages.
-        quality: the quality of service that was offered; None when the bag does not have it.
-        definition: the text of the message type; empty when the bag does not have it.
+    The types of publishers that disagreed are joined by `` and ``. Quality of service and the
+    definition of the type may not be in the bag.
     """
 
     name: str
@@ -116,13 +95,7 @@ class TopicInfo:
 
 
 class RawMessage(NamedTuple):
-    """A serialized message of a bag.
-
-    Attributes:
-        topic: the absolute name.
-        log_time: time of recording, ns.
-        data: the serialized message (CDR).
-    """
+    """A serialized message (CDR) of a bag; its log time is in ns."""
 
     topic: str
     log_time: int
@@ -145,36 +118,30 @@ class BagReader:
     """
 
     def __init__(self, path: Path | str) -> None:
-        """Open a bag.
-
-        Args:
-            path: a rosbag2 folder, or a bare ``.mcap`` or ``.db3`` file.
+        """Open a bag: a rosbag2 folder, or a bare ``.mcap`` or ``.db3`` file.
 
         Raises:
             UsageError: ``path`` does not exist.
             BagError: ``path`` is no bag, or a damaged bag.
         """
-        self.path = Path(path)
-        self._open = ExitStack()
-        self.is_whole = True
+        self.path, self.is_whole = Path(path), True
+        self._open, self._store = ExitStack(), new_typestore()
+        self._defined = set[str]()  # topics whose definitions the store has
+        self.low = 0
+        self._limits: tuple[int, int] | None = None
+        self._received: frozenset[str] = frozenset()
         try:
             with self._translated():
                 self.storage = storage_of(self.path)
-                self._check_files()
                 self._reader = self._open.enter_context(Reader(self._file_with_end()))
                 self._read_topics()
         except BaseException:
             self.close()
             raise
-        self._store: Typestore | None = None
-        self._defined = set[str]()  # topics whose definitions the store has
-        self.low = 0
-        self._limits: tuple[int, int] | None = None
-        self._received: frozenset[str] = frozenset()
 
     def _file_with_end(self) -> Path:
         """The bag, or a file with the messages of MCAP files without an end."""
-        files = [each for each in bag_files(self.path) if each.suffix == ".mcap"]
+        files = [each for each in checked_files(self.path) if each.suffix == ".mcap"]
         is_known = (self.path / "metadata.yaml").is_file()
         if not files or ((is_known or len(files) == 1) and all(map(has_end, files))):
             return self.path if is_known or not files else files[0]
@@ -186,25 +153,6 @@ class BagReader:
         lacks = "a file without an end" if len(files) == 1 else "files without metadata.yaml"
         say(f"warning: {self.path}: {lacks}, read up to the last whole chunk", file=sys.stderr)
         return file
-
-    def _check_files(self) -> None:
-        """Check that the files are regular ones.
-
-        Metadata with aliases are checked to have an end when they are written out, and those with
-        many brackets or a long line, which may be nested deeply, to be YAML: the library that
-        reads them ends the process.
-        """
-        for file in bag_files(self.path):
-            check_input(file)
-            if file.suffix == ".db3" and (views := views_in(file)):  # which may have no end
-                found = f"{file.name} has a view {views[0]}; expected tables alone"
-                raise BagError(f"{self.path}: cannot be read as a bag: {found}")
-        if (metadata := self.path / "metadata.yaml").is_file():
-            text = read_text(metadata)
-            brackets = text.count("[") + text.count("{")
-            longest = max(map(len, text.splitlines()), default=0)
-            if "&" in text or max(brackets, longest) > _MOST_NESTED:
-                load_yaml(text)
 
     def _read_topics(self) -> None:
         """Read the topics and the extent of the bag that is open."""
@@ -235,11 +183,6 @@ class BagReader:
         self._open.close()
 
     @property
-    def _reindex(self) -> str:
-        """The remedy for a wrong metadata.yaml."""
-        return f"`{reindex_command(self.path)}` writes it anew"
-
-    @property
     def _recover(self) -> str:
         """The remedy for a damaged file."""
         return f"`{recover_command(self.path)}` writes what is left to a new file"
@@ -251,10 +194,7 @@ class BagReader:
         return sum(file.stat().st_size for file in files)
 
     def find(self, wanted: Interface) -> str | None:
-        """The topic of an interface: its absolute name, else the only one in a namespace.
-
-        Returns:
-            The absolute name; None when the bag has no such topic.
+        """The topic of an interface: its absolute name, else the only one in a namespace, or None.
 
         Raises:
             BagError: several topics fit, none of them at the top.
@@ -268,36 +208,44 @@ class BagReader:
         return candidates[0] if candidates else None
 
     def truth_topic(self) -> str | None:
-        """The topic of the plant's true states; None when the bag has none.
-
-        Raises:
-            BagError: the bag has several plants.
-        """
+        """The topic of the plant's true states; None without any. BagError: of several plants."""
         return self.find(interfaces.PLANT_JOINT_STATES)
 
     def observers(self) -> tuple[str, ...]:
         """Prefixes of the observers in the bag, such as ``/observer_geometric``, sorted."""
-        own = (interfaces.OBSERVER_STATES, interfaces.OBSERVER_JOINT_STATES)
-        here = self.topics
-        fitting = (topic for topic in here if any(each.fits(topic) for each in own))
-        return tuple(sorted({topic.rpartition("/")[0] for topic in fitting}))
+        own = interfaces.OBSERVER_STATES, interfaces.OBSERVER_JOINT_STATES
+        return tuple(sorted({topic.rpartition("/")[0] for topic in self._fitting(*own)}))
 
     def impact_topics(self) -> tuple[str, ...]:
-        """Topics of estimates of impacts, of observers and of a smoother, sorted."""
-        own = (interfaces.OBSERVER_IMPACTS, interfaces.SMOOTHED_ESTIMATES)
-        here = self.topics
-        return tuple(sorted(topic for topic in here if any(each.fits(topic) for each in own)))
+        """Topics of estimates of impacts, of observers and of a smoother, sorted.
 
-    def raw(
-        self,
-        topics: Collection[str] | None = None,
-        start: int = 0,
-    ) -> Iterator[RawMessage]:
-        """The serialized messages, in bag order, for copying and playing.
+        Raises:
+            BagError: there are none.
+        """
+        own = interfaces.OBSERVER_IMPACTS, interfaces.SMOOTHED_ESTIMATES
+        if not (topics := self._fitting(*own)):
+            raise UnfitBagError(
+                f"{self.path}: has no estimates of impacts ({own[0].topic}); run observe or smooth"
+                " on it, and take the bag that it makes"
+            )
+        return topics
 
-        Args:
-            topics: only these absolute names; None for all.
-            start: only messages logged at or after this stamp, ns.
+    def _fitting(self, *wanted: Interface) -> tuple[str, ...]:
+        return tuple(t for t in sorted(self.topics) if any(each.fits(t) for each in wanted))
+
+    def state_topics(self) -> dict[str, str]:
+        """Prefixes by topic of states: of the truth, which is empty, then of each observer."""
+        truth = self.truth_topic()
+        known = {} if truth is None else {truth: ""}
+        return known | {self.states_of(prefix): prefix for prefix in self.observers()}
+
+    def states_of(self, prefix: str) -> str:
+        """The topic of an observer's states, or of joint states if no states are recorded."""
+        state = f"{prefix}/state"
+        return state if state in self.topics else f"{prefix}/joint_states"
+
+    def raw(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """The serialized messages on some topics, None for all, in bag order, for copying.
 
         Raises:
             BagError: a topic is missing, or the bag is damaged.
@@ -305,18 +253,13 @@ class BagReader:
         wanted = self.topics if topics is None else topics
         for topic in wanted:
             self._topic(topic)
-        return self._stream([c for topic in wanted for c in self._connections[topic]], start)
+        return self._stream([c for topic in wanted for c in self._connections[topic]])
 
     def read_between(self, low: int, high: int, received: Collection[str] = ()) -> None:
         """Leave out, from now on, what is stamped before ``low`` or after ``high``, ns.
 
-        The stamp is that of the header, or of a message without one the log time. Topics that
-        make the rig known, ``interfaces.WHOLE``, are read whole.
-
-        Args:
-            low: first stamp, ns.
-            high: last stamp, ns.
-            received: topics whose stamp is the log time, whatever the headers say.
+        The stamp is that of the header; of a message without one, and on topics ``received``, the
+        log time. Topics that make the rig known, ``interfaces.WHOLE``, are read whole.
         """
         self.low, self._limits, self._received = low, (low, high), frozenset(received)
 
@@ -356,11 +299,11 @@ class BagReader:
                 for bytes that are no message of that type.
         """
         info = self._topic(topic)
-        store = self._store_for(info)
+        self._define(info)
 
         def decode(data: bytes) -> AnyMessage:
             try:
-                return deserialize(store, data, info.type)
+                return deserialize(self._store, data, info.type)
             except Exception as error:  # rosbags raises errors of many types
                 raise BagError(
                     f"{self.path}: {topic} has bytes that are no {info.type}: {_reason(error)}"
@@ -368,110 +311,88 @@ class BagReader:
 
         return decode
 
-    def events(self, topic: str = interfaces.IMPACTS.topic) -> Iterator[ImpactEvent]:
-        """The events of a topic, in bag order.
+    # The methods below raise BagError for a topic that is missing or of another type, and for a
+    # message without a valid value.
 
-        Raises:
-            BagError: the topic is missing or of another type, or a message has no valid event.
-        """
+    def events(self, topic: str = interfaces.IMPACTS.topic) -> Iterator[ImpactEvent]:
+        """The events of a topic, in bag order."""
         return self._values(topic, interfaces.IMPACT_EVENT, read_event)
 
     def verdicts(self, topic: str) -> Iterator[Verdict]:
-        """The verdicts of a topic, in bag order.
-
-        Raises:
-            BagError: the topic is missing or of another type, or a message has no valid verdict.
-        """
-        return (
-            verdict for verdict, _ in self._values(topic, interfaces.EVENT_VERDICT, read_verdict)
-        )
+        """The verdicts of a topic, in bag order."""
+        return self._values(topic, interfaces.EVENT_VERDICT, lambda each: read_verdict(each)[0])
 
     def impact_estimates(self, topic: str) -> Iterator[ImpactEstimate]:
-        """The estimates of impacts of a topic, in bag order.
-
-        Raises:
-            BagError: the topic is missing or of another type, or a message is not valid.
-        """
+        """The estimates of impacts of a topic, in bag order."""
         return self._values(topic, interfaces.IMPACT_ESTIMATE, read_impact_estimate)
 
-    def blocks(
-        self,
-        topics: Collection[str],
-        names: Sequence[str] | None = None,
-        *,
-        covariance: bool = False,
-    ) -> Iterator[tuple[str, JointStates]]:
-        """The states on some topics in one pass, each topic's in bag order, a block at a time.
-
-        Args:
-            topics: absolute names, of joint states or of an observer's states.
-            names: names of the columns; None for the names in each topic's first message.
-            covariance: whether estimates are wanted with theirs.
-
-        Yields:
-            A topic and its next states, at most 1024 of them, an observer's as
-            ``ObserverStates``. The last block of each topic may be empty.
-
-        Raises:
-            BagError: a topic is missing or of another type; a name is missing, unexpected or
-                twice; a message has no finite position and velocity for each name; a law changes.
-        """
-        collectors = {topic: self._collector(topic, names, covariance) for topic in topics}
-        decoders = {topic: self.decoder(topic) for topic in topics}
-        for topic, _, data in self._stream([c for t in decoders for c in self._connections[t]]):
-            collectors[topic].append(decoders[topic](data))
-            if len(collectors[topic]) == _BLOCK:
-                yield topic, collectors[topic].take()
-        for topic, collector in collectors.items():
-            yield topic, collector.take()
-
-    def stamps(self, topic: str) -> Stamps:
-        """The stamps of all joint states of a topic, ns, in bag order.
-
-        Raises:
-            BagError: the topic is missing or of another type, or a stamp is not valid.
-        """
-        stamps = self._values(
-            topic,
-            interfaces.JOINT_STATE,
-            lambda message: read_stamp("JointState.header.stamp", message.header.stamp),
-        )
-        return np.fromiter(stamps, dtype=np.int64)
-
-    def joint_states(self, topic: str, names: Sequence[str] | None = None) -> JointStates:
-        """All states of a topic of joint states; arguments and errors as of :meth:`blocks`."""
-        self._check_type(topic, interfaces.JOINT_STATE)
-        return joined(block for _, block in self.blocks([topic], names))
-
-    def observer_states(self, topic: str, names: Sequence[str] | None = None) -> ObserverStates:
-        """All estimates on a topic such as ``/observer/state``; arguments as above."""
-        self._check_type(topic, interfaces.OBSERVER_STATE)
-        return cast("ObserverStates", joined(block for _, block in self.blocks([topic], names)))
-
-    def _collector(
-        self, topic: str, names: Sequence[str] | None, covariance: bool
-    ) -> StateCollector:
-        """Returns the collector of the states of a topic."""
-        estimates = self._topic(topic).type == interfaces.OBSERVER_STATE
-        self._check_type(topic, interfaces.OBSERVER_STATE if estimates else interfaces.JOINT_STATE)
-        source = f"{self.path}: {topic}"
-        return StateCollector(source, names, estimates=estimates, covariance=covariance)
-
-    def _check_type(self, topic: str, wanted: str) -> None:
-        """Check the type of a topic."""
-        if (type_name := self._topic(topic).type) != wanted:
-            raise UnfitBagError(f"{self.path}: {topic} is {type_name}; expected {wanted}")
-
     def model_text(self) -> str | None:
-        """The text of the last model published in the bag; None without a model.
-
-        Raises:
-            BagError: several plants published a model, or the topic has another type.
-        """
+        """The text of the last model published in the bag; None without a model."""
         if (topic := self.find(interfaces.PLANT_MODEL)) is None:
             return None
         texts = deque(self._values(topic, interfaces.STRING, attrgetter("data")), maxlen=1)
         return texts[0] if texts else None
+
+    def stamps(self, topic: str) -> Stamps:
+        """The stamps of all joint states of a topic, ns, in bag order."""
+
+        def stamp_of(message: AnyMessage) -> int:
+            return read_stamp("JointState.header.stamp", message.header.stamp)
+
+        stamps = self._values(topic, interfaces.JOINT_STATE, stamp_of)
+        return np.fromiter(stamps, dtype=np.int64)
+
+    def first_state(self, topics: Iterable[str]) -> JointState | None:
+        """The first state on the first of some topics that has one; None without a state."""
+        for topic in topics:
+            for state in self._values(topic, self._state_type(topic), read_joint_state):
+                return state
+        return None
+
+    def states(
+        self,
+        topics: Iterable[str],
+        names: Sequence[str] | None = None,
+        progress: Callable[[int, int], object] = lambda _done, _all: None,
+    ) -> dict[str, RecordedStates]:
+        """The states on some topics, of joint states or of estimates, by topic.
+
+        Args:
+            topics: absolute names.
+            names: of the columns; None for the names in each topic's first message.
+            progress: called with the number of states read, and of all.
+
+        Raises:
+            BagError: a name is missing, unexpected or twice, or a law changes.
+        """
+        chosen, found, done = [*dict.fromkeys(topics)], dict[str, RecordedStates](), 0
+        total = sum(self._topic(topic).count for topic in chosen)
+
+        def counted(states: Iterable[_Value]) -> Iterator[_Value]:
+            nonlocal done
+            for state in states:
+                yield state
+                done += 1
+                if done % _STEP == 0 or done == total:
+                    progress(done, total)
+
+        for topic in chosen:
+            type_name = self._state_type(topic)
+            read = read_estimate if type_name == interfaces.OBSERVER_STATE else _as_estimate
+            states = counted(self._values(topic, type_name, read))
+            found[topic] = state_arrays(states, names, f"{self.path}: {topic}")
+        return found
+
+    def joint_states(self, topic: str, names: Sequence[str] | None = None) -> RecordedStates:
+        """All states on one topic; arguments and errors as of :meth:`states`."""
+        return self.states([topic], names)[topic]
+
+    observer_states = joint_states  # estimates are states, too
+
+    def _state_type(self, topic: str) -> str:
+        """The type that a topic of states must have: estimates if it has them."""
+        is_estimate = self._topic(topic).type == interfaces.OBSERVER_STATE
+        return interfaces.OBSERVER_STATE if is_estimate else interfaces.JOINT_STATE
 
     def _topic(self, topic: str) -> TopicInfo:
         """A topic, checked to be in the bag."""
@@ -484,7 +405,8 @@ class BagReader:
         self, topic: str, type_name: str, read: Callable[[AnyMessage], _Value]
     ) -> Iterator[_Value]:
         """The messages of a topic of the given type, each converted by ``read``."""
-        self._check_type(topic, type_name)
+        if (found := self._topic(topic).type) != type_name:
+            raise UnfitBagError(f"{self.path}: {topic} is {found}; expected {type_name}")
         messages = self.messages(topic)
 
         def values() -> Iterator[_Value]:
@@ -497,35 +419,26 @@ class BagReader:
 
         return values()
 
-    def _store_for(self, info: TopicInfo) -> Typestore:
-        """A typestore with the type of a topic."""
-        if self._store is None:
-            self._store = new_typestore()
-        store, topic, type_name = self._store, info.name, info.type
+    def _define(self, info: TopicInfo) -> None:
+        """Have the typestore know the type of a topic."""
+        place, type_name = f"{self.path}: {info.name}", info.type
         try:
-            if info.definition and topic not in self._defined:
-                add_definition(store, info.definition, type_name)
-                self._defined.add(topic)
+            if info.definition and info.name not in self._defined:
+                add_definition(self._store, info.definition, type_name)
+                self._defined.add(info.name)
         except BagError as error:
+            remedy = "read it with the version that made it"
+            raise BagError(f"{place}: {error}; {remedy}") from error
+        if type_name not in self._store.fielddefs:
             raise BagError(
-                f"{self.path}: {topic}: {error}; read it with the version that made it"
-            ) from error
-        if type_name not in store.fielddefs:
-            raise BagError(
-                f"{self.path}: {topic} is {type_name}, which neither this package nor the bag "
-                "defines; expected a bag with message definitions, as MCAP and Jazzy write them"
+                f"{place} is {type_name}, which neither this package nor the bag defines;"
+                " expected a bag with message definitions, as MCAP and Jazzy write them"
             )
-        return store
 
-    def _stream(
-        self,
-        connections: Collection[Connection],
-        start: int = 0,
-    ) -> Iterator[RawMessage]:
+    def _stream(self, connections: Collection[Connection]) -> Iterator[RawMessage]:
         """Yields the messages of some connections in bag order; checks that none is missing."""
         if not connections:
             return
-        count = 0
         names = {each.topic: interfaces.absolute(each.topic) for each in connections}
         low, high = self._limits or (0, 0)
         stamp_of = {
@@ -533,52 +446,55 @@ class BagReader:
             for topic in (names.values() if self._limits else ())
             if interfaces.interface(topic) not in interfaces.WHOLE
         }
-        stored = (each for each in self._stored if each.topic in names)
-        known = [*connections, *stored]
+        count, known = 0, [*connections, *(each for each in self._stored if each.topic in names)]
         with self._translated():
-            for own, log_time, data in self._reader.messages(known, start=start or None):
+            for own, log_time, data in self._reader.messages(known):
                 count += 1
                 if type(log_time) is not int or type(data) is not bytes:  # of sqlite, any type
-                    raise BagError(f"{self.path}: {own.topic} has {_WRONG_KIND}")
+                    wrong = "rows without a whole log time (ns) and bytes"
+                    raise BagError(f"{self.path}: {own.topic} has {wrong}")
                 raw = RawMessage(names[own.topic], log_time, data)
-                if raw.topic in stamp_of and not low <= stamp_of[raw.topic](raw) <= high:
-                    continue
-                yield raw
+                if raw.topic not in stamp_of or low <= stamp_of[raw.topic](raw) <= high:
+                    yield raw
         expected = sum(connection.msgcount for connection in connections)
-        if count < expected and not start:
-            raise BagError(
-                f"{self.path}: {count} messages found, {expected} promised by its index; "
-                + self._recover
-            )
+        if count < expected:
+            found = f"{count} messages found, {expected} promised by its index"
+            raise BagError(f"{self.path}: {found}; {self._recover}")
 
     def _stamp_reader(self, topic: str) -> Callable[[RawMessage], int]:
         """A function that gives the stamp (ns) of a message of a topic."""
-        has_header = topic not in self._received
-        if has_header:
-            try:
-                info = self._topic(topic)
-                has_header = begins_with_stamp(self._store_for(info), info.type)
-            except BagError:  # no definition: the message can only be copied
-                has_header = False
+        info = self._topic(topic)
+        try:
+            self._define(info)
+        except BagError:  # no definition: the message can only be copied
+            return attrgetter("log_time")
+        has_header = topic not in self._received and begins_with_stamp(self._store, info.type)
         return _stamp_in if has_header else attrgetter("log_time")
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Report an error of ``rosbags`` for a damaged bag as one line."""
+        """Within the block, an error of ``rosbags`` for a damaged bag is one line."""
+        reindex = f"`{reindex_command(self.path)}` writes it anew"
         try:
             yield
         except ModelError as error:
-            raise BagError(f"{self.path}: its metadata.yaml: {error}; {self._reindex}") from None
+            raise BagError(f"{self.path}: its metadata.yaml: {error}; {reindex}") from None
         except ImpactObserverError:
             raise
         except Exception as error:  # anything, in a damaged file
             reason = _reason(error)
             remedy = self._recover
             if "files are missing" in reason:
-                remedy = f"move them back, or {self._reindex}"
+                remedy = f"move them back, or {reindex}"
             elif "Profile is not ros2" in reason:
                 remedy = f"{FROM_ROS_1}; other messages: a table, for `import` or `detect`"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
+
+
+def _as_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
+    """A joint state as an estimate that knows all before it."""
+    state = read_joint_state(message)
+    return state.names, Estimate(state.stamp, "", state.q, state.u, last_event=state.stamp)
 
 
 def _stamp_in(raw: RawMessage) -> int:
@@ -596,44 +512,3 @@ def _reason(error: BaseException) -> str:
     line = " ".join(str(error).split()).rstrip(".")
     of_rosbags = isinstance(error, (ReaderError, SerdeError, TypesysError))
     return line if of_rosbags else f"{type(error).__name__}: {line}"
-
-
-def named_topic(reader: BagReader, name: str) -> str:
-    """The absolute name of a topic, given with or without its first slash.
-
-    Raises:
-        UsageError: the bag has no such topic.
-    """
-    topic = interfaces.absolute(name)
-    if topic not in reader.topics:
-        in_bag = ", ".join(reader.topics) or "none"
-        raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {in_bag}")
-    return topic
-
-
-def named_states(reader: BagReader, name: str) -> str:
-    """The topic of states of the observer or topic ``name``.
-
-    Raises:
-        UsageError: the bag has neither.
-    """
-    prefix = interfaces.absolute(name)
-    return states_of(reader, prefix) if prefix in reader.observers() else named_topic(reader, name)
-
-
-def states_of(reader: BagReader, prefix: str) -> str:
-    """The topic of an observer's states, or of its joint states if no states are recorded."""
-    state = f"{prefix}/state"
-    return state if state in reader.topics else f"{prefix}/joint_states"
-
-
-def first_stamp(reader: BagReader, topics: Iterable[str]) -> int | None:
-    """The first stamp, ns, in the first topic with a state; None without a state."""
-    first = first_block(reader, topics)
-    return None if first is None else int(first.stamps[0])
-
-
-def first_block(reader: BagReader, topics: Iterable[str]) -> JointStates | None:
-    """The first states in the first topic with a state; None without a state."""
-    blocks = (next(iter(reader.blocks([topic])))[1] for topic in topics)
-    return next((block for block in blocks if block.stamps.size), None)

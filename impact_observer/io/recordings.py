@@ -38,8 +38,7 @@ def published_model(
 ) -> str:
     """The model file as a plant publishes it: with the version, seed and integrator used.
 
-    The sensor's faults are listed, if it has any, and the plant's values of parameters where
-    these are not those of the model.
+    Faults of the sensor are listed, and parameters of the plant that are not those of the model.
     """
     provenance: dict[str, object] = {
         "package": "impact_observer",
@@ -56,11 +55,7 @@ def published_model(
 
 @contextmanager
 def all_or_nothing(path: Path) -> Iterator[BagWriter]:
-    """A writer whose bag is written beside ``path``, and appears there after no exception.
-
-    Raises:
-        UsageError, BagError: as of :class:`BagWriter`.
-    """
+    """A :class:`BagWriter` whose bag is beside ``path``, and appears there after no exception."""
     check_free(path)
     with temporary_beside(path) as folder:
         with BagWriter(path, folder) as writer:
@@ -101,7 +96,7 @@ def write_run(
     types: Mapping[str, str] = MappingProxyType({}),
     true_parameters: Mapping[str, float] = MappingProxyType({}),
     system: Multibody | None = None,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[int], object] = lambda _: None,
 ) -> list[ImpactEvent]:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
 
@@ -123,46 +118,44 @@ def write_run(
         The events, in the order of their reception.
 
     Raises:
-        UsageError: something is at ``path`` already, or its parent is no folder; or the sensor
-            does not fit the model.
+        UsageError: ``path`` cannot be made, or the sensor does not fit the model.
         BagError: the bag cannot be written.
     """
     system = model.system if system is None else system
-    make, names = bag_messages(), system.coordinates
-    n, last = system.n, int(run.stamps[-1])
+    make, names, n = bag_messages(), system.coordinates, system.n
     received = simulate_sensor(
         sensor,
         system,
         run.switchings,
         sensors=model.sensors,
         epoch=run.epoch,
-        last=last,
+        last=int(run.stamps[-1]),
         seed=seed,
     )
-    with all_or_nothing(path) as writer:
-        for each in PLANT_TOPICS:
-            writer.declare(each.topic)
-        for topic, kind in types.items():
-            writer.declare(topic, type_name=kind, quality=interfaces.SENSORS)
-        start = int(run.stamps[0])
-        model_message = make.model(published_model(model, seed, sensor, true_parameters))
-        writer.write(interfaces.PLANT_MODEL.topic, start, model_message)
-        events = (
-            (each.arrival, interfaces.IMPACTS.topic, make.event(each.event)) for each in received
-        )
-        states = (
+    # At equal stamps the event is first: the state is the state after the event.
+    messages = heapq.merge(
+        ((each.arrival, interfaces.IMPACTS.topic, make.event(each.event)) for each in received),
+        (
             (
                 stamp,
                 interfaces.PLANT_JOINT_STATES.topic,
                 make.joint_state(JointState(stamp, names, x[:n], x[n:])),
             )
             for stamp, x in zip(run.stamps.tolist(), run.states, strict=True)
-        )
-        # At equal stamps the event is first: the state is the state after the event.
-        for stamp, topic, message in heapq.merge(events, states, samples, key=itemgetter(0)):
+        ),
+        samples,
+        key=itemgetter(0),
+    )
+    with all_or_nothing(path) as writer:
+        for each in PLANT_TOPICS:
+            writer.declare(each.topic)
+        for topic, kind in types.items():
+            writer.declare(topic, type_name=kind, quality=interfaces.SENSORS)
+        text = published_model(model, seed, sensor, true_parameters)
+        writer.write(interfaces.PLANT_MODEL.topic, int(run.stamps[0]), make.model(text))
+        for stamp, topic, message in messages:
             writer.write(topic, stamp, message)
-            if progress is not None:
-                progress(stamp)
+            progress(stamp)
     return [each.event for each in received]
 
 
@@ -175,8 +168,7 @@ def text_of_model(reader: BagReader, model: str | None) -> ModelText:
     """
     if model is not None:
         return model_text(model)
-    content = reader.model_text()
-    if content is None:
+    if (content := reader.model_text()) is None:
         raise UnfitBagError(f"{reader.path}: carries no model; name one with --model")
     return ModelText(content, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
 
@@ -185,8 +177,7 @@ def model_of(reader: BagReader, model: str | None = None) -> Model:
     """The model file or sample ``model``, or if None the model in the bag.
 
     Raises:
-        BagError: the bag has no model.
-        UsageError, ModelError: the model cannot be read, or is not valid.
+        ModelError: the model is not valid; others as of :func:`text_of_model`.
     """
     try:
         return parse_model(*text_of_model(reader, model))
@@ -213,12 +204,7 @@ def events_in(reader: BagReader) -> list[ImpactEvent]:
 
 
 def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) -> EventOutcomes:
-    """Outcome of each event of a bag, for the observer with these states.
-
-    Args:
-        reader: the bag.
-        topic: of the states; the topic of the verdicts, if there is one, has the same prefix.
-        events: all of the bag.
+    """Outcome of each of the ``events`` of a bag, for the observer with the states on ``topic``.
 
     Raises:
         BagError: a verdict is not valid.
@@ -235,30 +221,15 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
     return replace(outcomes, measured=(used[True], used[False]))
 
 
-def impact_topics(reader: BagReader) -> tuple[str, ...]:
-    """The topics of estimates of impacts in a bag, sorted.
-
-    Raises:
-        BagError: the bag has none.
-    """
-    if not (topics := reader.impact_topics()):
-        raise UnfitBagError(
-            f"{reader.path}: has no estimates of impacts ({interfaces.OBSERVER_IMPACTS.topic});"
-            " run observe or smooth on it, and take the bag that it makes"
-        )
-    return topics
-
-
 def impact_estimates(reader: BagReader) -> dict[str, list[ImpactEstimate]]:
     """The estimates of impacts in a bag, by topic, in order of stamps.
 
-    Those of ``observe`` are on ``/observer/impacts``, those of ``smooth`` on
-    ``/smoother/impact_estimates``. Impacts that were rejected are among them, without numbers.
+    Impacts that were rejected are among them, without numbers.
 
     Raises:
         BagError: the bag has no such topic, or a message is not valid.
     """
-    return {topic: [*reader.impact_estimates(topic)] for topic in impact_topics(reader)}
+    return {topic: [*reader.impact_estimates(topic)] for topic in reader.impact_topics()}
 
 
 def epoch_of(events: Iterable[ImpactEvent]) -> int:

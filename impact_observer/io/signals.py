@@ -96,11 +96,7 @@ def read_signal(path: Path, form: TableForm | None = None, zero: int | None = No
 
 
 def signal_of_table(table: Table, zero: int | None) -> Signal:
-    """The columns of numbers in a table.
-
-    Args:
-        table: the table.
-        zero: stamp of its time zero, ns; None as for :func:`read_signal`.
+    """The columns of numbers in a table; ``zero`` (ns) as for :func:`read_signal`.
 
     Raises:
         UsageError: there is no column of numbers, two are of one name, or most times have lost
@@ -128,11 +124,7 @@ def signal_of_table(table: Table, zero: int | None) -> Signal:
 
 
 def _lost_digits(table: Table) -> list[str]:
-    """Why times that repeat make stamps wrong; empty where few do.
-
-    Raises:
-        UsageError: nearly all times are equal.
-    """
+    """Why times that repeat make stamps wrong; empty where few do. UsageError if nearly all do."""
     steps = np.diff(table.times)
     rows, same = len(table.times), int(np.count_nonzero(steps == 0))
     if same <= _FEW or same * _SHARE <= rows:
@@ -166,30 +158,22 @@ def _sound(path: Path, zero: int) -> Signal:
     if not blocks:
         why = "holds no frame; where a recorder left no length in the header"
         raise UsageError(f"{path}: {why}, `ffmpeg -i {quote(str(path))} NEW.wav` mends it")
-    frames, stamps = np.concatenate(blocks), _stamps(sum(map(len, blocks)), rate, zero)
-    remarks = []
-    if 0 < (missing := total - len(frames)) < _UNKNOWN:
+    frames = np.concatenate(blocks)
+    count, remarks = len(frames), []
+    if 0 < (missing := total - count) < _UNKNOWN:
         part = f"{missing} of {total} frames are missing ({100 * missing / total:.2g} %)"
         remarks.append(f"{path}: is cut or damaged: {part}, the last {missing / rate:.3g} s")
     if found := _WRONG_LENGTH.search(log):
         seen = f"is cut, or has no length in its header ({found[0].strip()})"
-        remarks.append(f"{path}: {seen}; the {len(frames)} frames that are there are read")
-    columns = {
-        f"channel{k + 1}": np.ascontiguousarray(frames[:, k]) for k in range(frames.shape[1])
-    }
-    bad = {name: int(np.count_nonzero(~np.isfinite(values))) for name, values in columns.items()}
-    omissions = {
-        name: f"{path}: "
-        + part_left_out(count, len(frames), f"frames of {name}", "no finite numbers")
-        for name, count in bad.items()
-        if count
-    }
+        remarks.append(f"{path}: {seen}; the {count} frames that are there are read")
+    stamps = zero + (np.arange(count, dtype=np.int64) * NS_PER_S + rate // 2) // rate
+    columns, omissions = dict[str, Vector](), dict[str, str]()
+    for k, values in enumerate(frames.T, start=1):
+        columns[name := f"channel{k}"] = np.ascontiguousarray(values)
+        if bad := int(np.count_nonzero(~np.isfinite(values))):
+            part = part_left_out(bad, count, f"frames of {name}", "no finite numbers")
+            omissions[name] = f"{path}: {part}"
     return Signal(path, stamps, columns, zero, omissions, tuple(remarks))
-
-
-def _stamps(count: int, rate: int, zero: int) -> Stamps:
-    """Stamps of the frames of a sound (Hz), each rounded by itself, ns."""
-    return zero + (np.arange(count, dtype=np.int64) * NS_PER_S + rate // 2) // rate
 
 
 def topic_of(column: str) -> str:
@@ -202,13 +186,9 @@ def topic_of(column: str) -> str:
 
 
 def check_stamps(path: Path, stamps: Stamps, zero: int, epoch: int = 0) -> None:
-    """Check that messages may have the stamps of a file, and that none lies before an epoch.
+    """Check that messages may have the ``stamps`` of a file, and that none is before an epoch.
 
-    Args:
-        path: the file.
-        stamps: ns, ascending.
-        zero: stamp of the file's time zero, ns.
-        epoch: ns; 0 for none.
+    ``stamps`` ascend; ``zero`` is that of the file's time zero, ``epoch`` is 0 for none; all ns.
 
     Raises:
         UsageError: names the first or last stamp, and a time zero.
@@ -226,11 +206,9 @@ def check_stamps(path: Path, stamps: Stamps, zero: int, epoch: int = 0) -> None:
 
 
 def zero_of(first: int, zero: int | None) -> int:
-    """The stamp of a file's time zero, ns.
+    """The stamp of a file's time zero, ns, where its ``first`` time is this, ns.
 
-    Args:
-        first: time in the file, ns.
-        zero: that is asked for; None for 0 where ``first`` counts from 1970, else 1 s.
+    If no ``zero`` is given: 0 where the first lies after 1973, as times since 1970 do, else 1 s.
     """
     if zero is not None:
         return zero

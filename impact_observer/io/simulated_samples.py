@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated messages of the sensors beside the impacts."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_observer.dynamics import mechanism_of
 from impact_observer.events import Contacts
-from impact_observer.io import interfaces
+from impact_observer.io.interfaces import JOINT_STATE, absolute
 from impact_observer.io.measured_samples import number_in
 from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.io.typestores import blank
@@ -18,7 +17,7 @@ from impact_observer.model.measurement import Measurement
 from impact_observer.model.multibody import Multibody
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Run
-from impact_observer.sensor_faults import SAMPLING
+from impact_observer.sensor_faults import MEASUREMENT_RATE
 from impact_observer.stamps import NS_PER_S, from_seconds
 from impact_observer.states import Stamps, Vector
 
@@ -40,37 +39,8 @@ _STREAM = 1923
 """Stream of random numbers, other than that of the sensor of impacts."""
 
 
-@dataclass(frozen=True, slots=True)
-class Sampling:
-    """Rate of simulated samples; fields as in ``SAMPLING``.
-
-    Attributes:
-        rate: of each sensor, Hz.
-    """
-
-    rate: float = 100.0
-
-    @classmethod
-    def from_values(cls, given: Mapping[str, float | None]) -> "Sampling":
-        """From values by the names of ``SAMPLING``; None gives the default."""
-        names = (row.name.removeprefix("measurement_") for row in SAMPLING)
-        both = zip(names, (given.get(row.name) for row in SAMPLING), strict=True)
-        return cls(**{name: float(value) for name, value in both if value is not None})
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        for each, row in zip(fields(self), SAMPLING, strict=True):
-            row.check(getattr(self, each.name))
-
-
 class SimulatedMessage(NamedTuple):
-    """A message of a sensor.
-
-    Attributes:
-        arrival: when it is received, ns.
-        topic: the absolute name.
-        message: of the type of the topic.
-    """
+    """A message of a sensor on an absolute topic, received at ``arrival``, ns."""
 
     arrival: int
     topic: str
@@ -81,11 +51,10 @@ def type_of(measurement: Measurement) -> str:
     """The type of the messages that a simulated sensor publishes.
 
     Raises:
-        UsageError: by file and key: no type that can be simulated has a number in such a field, or
-            it has no header though that is wanted.
+        UsageError: by file and key: no type that is known has such a field, or a header.
     """
     if measurement.joint:
-        return interfaces.JOINT_STATE
+        return JOINT_STATE
     type_name = _TYPES.get(str(measurement.path()[0]))
     if type_name is None:
         wanted = f"expected one that begins with {', '.join(_TYPES)}"
@@ -101,47 +70,45 @@ def type_of(measurement: Measurement) -> str:
 class SampleSimulation:
     """The sensors of a plant; their random numbers follow from the seed and the instants.
 
-    Attributes:
-        types: of the messages, by absolute topic.
-        sampling: how samples are taken.
+    ``types`` are those of the messages by absolute topic.
     """
 
     def __init__(
         self,
         measurements: Sequence[Measurement],
         system: Multibody,
-        sampling: Sampling,
+        rate: float,
         seed: int,
-        new: Callable[[str], AnyMessage] | None = None,
+        new: Callable[[str], AnyMessage] = blank,
     ) -> None:
-        """Sensors of ``system``; ``new`` makes an empty message of a type.
+        """Sensors of ``system`` at a ``rate`` (Hz); ``new`` makes an empty message of a type.
 
         Raises:
             UsageError: by file and key, where the system lacks a name, or a sensor cannot be
-                simulated.
+                simulated; or the rate is out of its range.
         """
-        self.sampling = sampling
+        MEASUREMENT_RATE.check(rate)
         for each in measurements:
             each.check(system)
-        self._declared, self._system = tuple(measurements), system
+        self._declared, self._system, self._rate = tuple(measurements), system, rate
         self._mechanism = mechanism_of(system)
-        self._new = new or blank
+        self._new = new
         self._random = np.random.default_rng([seed, _STREAM])
         self.types: dict[str, str] = {}
         for each in measurements:
-            topic, kind = f"/{each.topic.lstrip('/')}", type_of(each)
+            topic, kind = absolute(each.topic), type_of(each)
             if self.types.setdefault(topic, kind) != kind:
                 both = f"{self.types[topic]} and {kind}"
                 raise each.wrong("topic", f"{topic} would have the types {both}; expected one")
 
     def stamps(self, epoch: int, last: int) -> Stamps:
         """Stamps of the samples from the epoch to ``last``, ns."""
-        count = int((last - epoch) / NS_PER_S * self.sampling.rate) + 1
+        count = int((last - epoch) / NS_PER_S * self._rate) + 1
         return np.array([self.stamp(epoch, k) for k in range(count)], dtype=np.int64)
 
     def stamp(self, epoch: int, k: int) -> int:
         """Stamp of the ``k``-th samples, ns; samples at the epoch have the number 0."""
-        return epoch + round(k / self.sampling.rate * NS_PER_S)
+        return epoch + round(k / self._rate * NS_PER_S)
 
     def messages_at(
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
@@ -151,19 +118,26 @@ class SampleSimulation:
         Joints with efforts share the messages of a topic, which have the efforts, too.
         """
         efforts = self._efforts(stamp - epoch)
-        shared: dict[tuple[str, str, int], AnyMessage] = {}
-        for sample, arrival in self.sampled(stamp, epoch, x, closed):
+        together = dict[object, list[tuple[Measurement, float, int]]]()
+        for k, (sample, arrival) in enumerate(self.sampled(stamp, epoch, x, closed)):
             declared = self._declared[sample.sensor]
-            late = sample.stamp + from_seconds(declared.delay)
-            topic = f"/{declared.topic.lstrip('/')}"
-            key = topic, declared.quantity, late
-            if (known := shared.get(key)) is not None:
-                _add_joint(known, declared, sample.value, efforts)
-                continue
-            message = self._message(topic, declared, late, sample.value)
-            if efforts and declared.joint:
-                message.effort = np.array([efforts[declared.joint]])
-                shared[key] = message
+            is_shared = bool(efforts and declared.joint)
+            key = (absolute(declared.topic), declared.quantity, declared.delay) if is_shared else k
+            together.setdefault(key, []).append((declared, sample.value, arrival))
+        for group in together.values():
+            declared, value, arrival = group[0]
+            topic = absolute(declared.topic)
+            message = self._new(self.types[topic])
+            if hasattr(message, "header"):
+                time = bag_messages().time(stamp + from_seconds(declared.delay))
+                message.header.stamp.sec, message.header.stamp.nanosec = time.sec, time.nanosec
+            if declared.joint:
+                message.name = [each.joint for each, _, _ in group]
+                setattr(message, declared.quantity, np.array([each for _, each, _ in group]))
+                if efforts:
+                    message.effort = np.array([efforts[name] for name in message.name])
+            else:
+                _put(message, declared.path(), value)
             yield SimulatedMessage(arrival, topic, message)
 
     def sampled(
@@ -192,7 +166,7 @@ class SampleSimulation:
                 motions.append((each.acceleration, rates + self._pull(instant)))
             for coefficients, motion in motions:
                 by_name = dict(zip(system.coordinates, motion, strict=True))
-                value += sum(factor * by_name[name] for name, factor in coefficients)
+                value += sum(factor * by_name[name] for name, factor in coefficients.items())
             yield float(value)
 
     def _efforts(self, instant: int) -> dict[str, float]:
@@ -209,22 +183,16 @@ class SampleSimulation:
         pull: Vector = (after - before)[self._system.n :] / (2e-9 * _HALF_STEP)
         return pull
 
-    def _message(self, topic: str, declared: Measurement, stamp: int, value: float) -> AnyMessage:
-        message = self._new(self.types[topic])
-        time = bag_messages().time(stamp)
-        if hasattr(message, "header"):
-            message.header.stamp.sec, message.header.stamp.nanosec = time.sec, time.nanosec
-        if declared.joint:
-            message.name = [declared.joint]
-            setattr(message, declared.quantity, np.array([value]))
-            return message
-        _put(message, declared.path(), value)
-        return message
-
 
 def samples_of_run(simulation: SampleSimulation, run: Run) -> list[SensorSample]:
     """Samples of all sensors on a run whose stamps are stamps of samples."""
     return [sample for at in _states(run) for sample, _ in simulation.sampled(*at)]
+
+
+def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedMessage]:
+    """The messages of all sensors on a run of a plant, in order of arrival."""
+    messages = (message for at in _states(run) for message in simulation.messages_at(*at))
+    return sorted(messages, key=lambda each: each.arrival)
 
 
 def _states(run: Run) -> Iterator[tuple[int, int, Vector, Contacts]]:
@@ -234,22 +202,6 @@ def _states(run: Run) -> Iterator[tuple[int, int, Vector, Contacts]]:
         while switchings and switchings[-1].instant.stamp <= stamp:
             closed = switchings.pop().closed
         yield stamp, run.epoch, x, closed
-
-
-def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedMessage]:
-    """The messages of all sensors on a run of a plant, in order of arrival."""
-    messages = (message for at in _states(run) for message in simulation.messages_at(*at))
-    return sorted(messages, key=lambda each: each.arrival)
-
-
-def _add_joint(
-    message: AnyMessage, declared: Measurement, value: float, efforts: Mapping[str, float]
-) -> None:
-    """Add the value and the effort of a further joint to a ``JointState``."""
-    message.name = [*message.name, declared.joint]
-    values = [*getattr(message, declared.quantity), value]
-    setattr(message, declared.quantity, np.array(values))
-    message.effort = np.array([*message.effort, efforts[declared.joint]])
 
 
 def _put(message: AnyMessage, path: FieldPath, value: float) -> None:

@@ -1,193 +1,113 @@
 # SPDX-License-Identifier: Apache-2.0
 """The states of a topic as arrays with one order of coordinates."""
 
+from array import array
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.errors import BagError
-from impact_observer.io.messages import (
-    AnyMessage,
-    JointState,
-    MessageError,
-    read_estimate,
-    read_joint_state,
-)
 from impact_observer.states import Estimate, Matrix, Stamps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointStates:
-    """The states of one topic, in bag order.
+class RecordedStates:
+    """The states on one topic, in bag order: true ones, or estimates.
 
     Attributes:
         names: the coordinates' names, in the order of the columns.
         stamps: when each state holds, shape (N,), ns.
-        q: coordinates, shape (N, n), m or rad.
-        u: velocities, shape (N, n), m/s or rad/s.
+        x: coordinates and velocities (q, u), shape (N, 2n), SI units.
+        deviations: their standard deviations, shape (N, 2n); NaN where there is no covariance.
+        law: name of the law, the same throughout; empty without one.
+        last_sequence: sequence number of the last event applied, shape (N,); 0 before the first.
+        last_event: stamp of the last event applied, shape (N,), ns; 0 before the first, and that
+            of the state itself where a message does not have one.
     """
 
     names: tuple[str, ...]
     stamps: Stamps
-    q: Matrix
-    u: Matrix
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObserverStates(JointStates):
-    """The estimates of one observer, in bag order.
-
-    Attributes:
-        law: name of the law, the same throughout; empty without any message.
-        last_sequence: sequence number of the last event applied, shape (N,); 0 before the first.
-        last_event: stamp of the last event applied, shape (N,), ns; 0 before the first.
-        covariance: order (q, u), shape (N, 2n, 2n), NaN for an estimate without covariance; shape
-            (N, 0, 0) if covariances were not asked for or no estimate has one.
-    """
-
+    x: Matrix
+    deviations: Matrix
     law: str
     last_sequence: NDArray[np.uint64]
     last_event: Stamps
-    covariance: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for each in fields(self):
+            if isinstance(values := getattr(self, each.name), np.ndarray):
+                values.setflags(write=False)
+
+    @property
+    def q(self) -> Matrix:
+        """Coordinates, shape (N, n), m or rad."""
+        return self.x[:, : len(self.names)]
+
+    @property
+    def u(self) -> Matrix:
+        """Velocities, shape (N, n), m/s or rad/s."""
+        return self.x[:, len(self.names) :]
 
 
-def deviations_in(block: JointStates) -> NDArray[np.float64]:
-    """Standard deviations of coordinates and velocities, shape (rows, 2n); NaN without."""
-    if isinstance(block, ObserverStates) and block.covariance.size:
-        variances = np.diagonal(block.covariance, axis1=1, axis2=2)
-        # Rounding may leave a variance slightly below zero.
-        return np.asarray(np.sqrt(np.where(variances < 0, 0.0, variances)))
-    return np.full((block.stamps.size, 2 * len(block.names)), np.nan)
+def state_arrays(
+    states: Iterable[tuple[tuple[str, ...], Estimate]], names: Sequence[str] | None, source: str
+) -> RecordedStates:
+    """States, each with the names of its coordinates, as arrays.
 
+    Args:
+        states: in any order of coordinates.
+        names: of the columns; None for the names of the first state.
+        source: bag and topic, named in errors.
 
-class StateCollector:
-    """Collects the messages of one topic and makes arrays of them."""
-
-    def __init__(
-        self,
-        source: str,
-        names: Sequence[str] | None,
-        *,
-        estimates: bool,
-        covariance: bool = False,
-    ) -> None:
-        """Begin without messages.
-
-        Args:
-            source: bag and topic, named in errors.
-            names: of the columns; None for the names of the first message.
-            estimates: whether the messages are ``ObserverState``; else ``JointState``.
-            covariance: whether the covariances of estimates are kept.
-        """
-        self._source = source
-        self._names = None if names is None else tuple(names)
-        self._has_estimates = estimates
-        self._keeps_covariance = covariance
-        self._law = ""
-        self._taken = 0
-        self._rows: list[tuple[JointState | Estimate, list[int]]] = []
-
-    def __len__(self) -> int:
-        """Returns the number of messages since the last call of ``take``."""
-        return len(self._rows)
-
-    def append(self, message: AnyMessage) -> None:
-        """Append a message.
-
-        Raises:
-            BagError: the message has no finite position and velocity for every name, its names are
-                not the expected ones, or the law has changed.
-        """
-        state: JointState | Estimate
-        try:
-            if self._has_estimates:
-                names, state = read_estimate(message)
-            else:
-                state = read_joint_state(message)
-                names = state.names
-        except MessageError as error:
-            place = f"{self._source}, message {self._taken + len(self._rows)}"
-            raise BagError(f"{place}: {error}") from error
-        if isinstance(state, Estimate):
-            if self._law not in ("", state.law):
-                raise BagError(
-                    f"{self._source} changes its law from {self._law} to {state.law}; "
-                    "expected one law a topic, such as /observer_<law>/state"
-                )
-            self._law = state.law
-        self._rows.append((state, self._order(names)))
-
-    def take(self) -> JointStates:
-        """Returns the messages since the last call; estimates are ``ObserverStates``."""
-        rows, self._rows = self._rows, []
-        self._taken += len(rows)
-        names, count = self._names or (), len(rows)
-        stamps = np.array([state.stamp for state, _ in rows], dtype=np.int64)
-        q = np.array([state.q[order] for state, order in rows]).reshape(count, len(names))
-        u = np.array([state.u[order] for state, order in rows]).reshape(count, len(names))
-        if not self._has_estimates:
-            return _read_only(JointStates(names, stamps, q, u))
-        estimates = [(state, order) for state, order in rows if isinstance(state, Estimate)]
-        return _read_only(
-            ObserverStates(
-                names,
-                stamps,
-                q,
-                u,
-                self._law,
-                np.array([each.last_sequence for each, _ in estimates], dtype=np.uint64),
-                np.array([each.last_event for each, _ in estimates], dtype=np.int64),
-                self._covariances(estimates),
+    Raises:
+        BagError: other names than those of the columns, or a law that changes.
+    """
+    wanted = None if names is None else tuple(names)
+    stamps, events, sequences = array("q"), array("q"), array("Q")
+    x, deviations, law = array("d"), array("d"), ""
+    orders = dict[tuple[str, ...], NDArray[np.intp]]()
+    for own, each in states:
+        wanted = own if wanted is None else wanted
+        if (order := orders.get(own)) is None:
+            order = orders[own] = _order(own, wanted, source)
+        if law not in ("", each.law):
+            raise BagError(
+                f"{source} changes its law from {law} to {each.law};"
+                " expected one law a topic, such as /observer_<law>/state"
             )
-        )
-
-    def _covariances(self, rows: Sequence[tuple[Estimate, list[int]]]) -> NDArray[np.float64]:
-        """The covariances in the order of the names; NaN for an estimate without covariance."""
-        has_some = self._keeps_covariance and any(each.covariance.size for each, _ in rows)
-        side = 2 * len(self._names or ()) if has_some else 0
-        covariance = np.full((len(rows), side, side), np.nan)
-        for i, (each, order) in enumerate(rows if has_some else ()):
-            if each.covariance.size:
-                both = [*order, *(len(order) + k for k in order)]
-                covariance[i] = each.covariance[np.ix_(both, both)]
-        return covariance
-
-    def _order(self, names: tuple[str, ...]) -> list[int]:
-        """Returns the places of the wanted names among those of a message."""
-        if names == self._names:
-            return list(range(len(names)))
-        if self._names is None:
-            self._names = names
-        wanted = self._names
-        double = sorted({name for name in names if names.count(name) > 1})
-        missing = [name for name in wanted if name not in names]
-        extra = [name for name in names if name not in wanted]
-        for problem, those in (("names twice", double), ("lacks", missing), ("has also", extra)):
-            if those:
-                raise BagError(
-                    f"{self._source} {problem} {', '.join(those)}; "
-                    f"expected the coordinates {', '.join(wanted)}"
-                )
-        return [names.index(name) for name in wanted]
+        law = each.law
+        stamps.append(each.stamp)
+        events.append(each.last_event)
+        sequences.append(each.last_sequence)
+        x.frombytes(np.concatenate([each.q, each.u])[order].tobytes())
+        if each.covariance.size:  # rounding may leave a variance slightly below zero
+            variances = np.diagonal(each.covariance)[order].clip(0.0)
+            deviations.frombytes(np.sqrt(variances).tobytes())
+        else:
+            deviations.extend([np.nan] * order.size)
+    columns = 2 * len(wanted or ())
+    return RecordedStates(
+        wanted or (),
+        np.array(stamps, dtype=np.int64),
+        np.array(x).reshape(len(stamps), columns),
+        np.array(deviations).reshape(len(stamps), columns),
+        law,
+        np.array(sequences, dtype=np.uint64),
+        np.array(events, dtype=np.int64),
+    )
 
 
-def joined(blocks: Iterable[JointStates]) -> JointStates:
-    """Returns one block made of one or several of the same topic."""
-    several = [*blocks]
-    arrays: dict[str, Any] = {
-        each.name: np.concatenate([getattr(block, each.name) for block in several])
-        for each in fields(several[0])
-        if isinstance(getattr(several[0], each.name), np.ndarray)
-    }
-    return _read_only(replace(several[-1], **arrays))
-
-
-def _read_only(states: JointStates) -> JointStates:
-    """Returns ``states`` after its arrays are made read-only."""
-    for each in fields(states):
-        if isinstance(array := getattr(states, each.name), np.ndarray):
-            array.setflags(write=False)
-    return states
+def _order(own: tuple[str, ...], wanted: tuple[str, ...], source: str) -> NDArray[np.intp]:
+    """The places of the ``wanted`` coordinates, and of their velocities, among a state's own."""
+    double = sorted({name for name in own if own.count(name) > 1})
+    missing = [name for name in wanted if name not in own]
+    extra = [name for name in own if name not in wanted]
+    for problem, found in (("names twice", double), ("lacks", missing), ("has also", extra)):
+        if found:
+            expected = f"expected the coordinates {', '.join(wanted)}"
+            raise BagError(f"{source} {problem} {', '.join(found)}; {expected}")
+    order = np.array([own.index(name) for name in wanted], dtype=np.intp)
+    return np.concatenate([order, len(own) + order])

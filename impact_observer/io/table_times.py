@@ -134,11 +134,6 @@ def _ns_of_clock(text: str) -> int | None:
     return whole + round(Decimal(f"0.{part}") * NS_PER_S)
 
 
-def is_dated(text: str) -> bool:
-    """Whether a text is a date, with or without a time, or a time of day."""
-    return ns_of_clock(text) is not None or ns_of_date(text) is not None
-
-
 def ns_of_numbers(cells: Sequence[str], values: Vector, unit: Fraction) -> Stamps:
     """Times in a unit (ns), each rounded to the nanosecond once; NO_TIME where there is none.
 

@@ -11,8 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from io import StringIO
-from itertools import islice, repeat
+from itertools import islice
 from pathlib import Path
 from textwrap import shorten
 from typing import NamedTuple, NoReturn
@@ -28,7 +27,6 @@ from impact_observer.io.table_times import (
     UNITS,
     UnknownUnitError,
     counts_frames,
-    is_dated,
     is_day,
     ns_of_clock,
     ns_of_date,
@@ -62,6 +60,7 @@ _LAST, _FEW = 20, 3
 """How many rows are compared with a last one that may be cut, at most and at least."""
 _SHOWN = 60
 """Letters of a cell in an error."""
+_Cells = NDArray[np.object_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +106,7 @@ class Table:
     path: Path
     times: Stamps
     lines: NDArray[np.int64]
-    cells: Mapping[str, NDArray[np.object_]]
+    cells: Mapping[str, _Cells]
     header: int
     words: str
     is_counted: bool
@@ -133,15 +132,15 @@ class Table:
         """Names of the columns of which most of the first filled cells are numbers."""
         return [name for name, cells in self.cells.items() if self._are_numbers(cells)]
 
-    def _are_numbers(self, cells: NDArray[np.object_]) -> bool:
-        filled = (cell.strip() for cell in cells if cell.strip().lower() not in _NO_NUMBERS)
+    def _are_numbers(self, cells: _Cells) -> bool:
+        filled = (cell for cell in cells if cell.lower() not in _NO_NUMBERS)
         known = [is_number(each, self.decimal_comma) for each in islice(filled, _SAMPLE)]
         return 2 * sum(known) > len(known)
 
     def omission(self, name: str, values: Vector) -> str:
         """How many filled cells of a column are no finite number, a line; empty for none."""
         cells = self.cells[name]
-        bad = [k for k in np.flatnonzero(np.isnan(values)).tolist() if cells[k].strip()]
+        bad = [k for k in np.flatnonzero(np.isnan(values)).tolist() if cells[k]]
         if not bad:
             return ""
         first = f"the first, in line {self.lines[bad[0]]}, is {shown(cells[bad[0]])}"
@@ -154,14 +153,10 @@ class Table:
 
 
 def read_table(path: Path, form: TableForm, expected: str, *, strict: bool = False) -> Table:
-    """Read a table.
+    """Read a table with the ``expected`` columns, which errors name.
 
-    Args:
-        path: the file.
-        form: options.
-        expected: columns, for errors.
-        strict: whether a row that cannot be read is an error; else such rows are counted and left
-            out. A last line that is cut, and what a loss of power left, always are.
+    A row that cannot be read is an error if ``strict``; else such rows are counted and left out.
+    A last line that is cut, and what a loss of power left, always are.
 
     Raises:
         UsageError: names the file, the line, what was found, and what is expected.
@@ -216,31 +211,6 @@ class _Reading(NamedTuple):
         return bool(found & {*self.places}) and _NO_NUMBERS.issuperset(missing)
 
 
-def _split(line: str, mark: str) -> list[str]:
-    """The cells of a line, without blanks around them; none if quotes are not closed."""
-    if mark == " ":
-        line = " ".join(line.split())
-        line = line if '"' in line else re.sub(r" (?=[\[(])", "_", line)  # time (s)
-    try:
-        row = next(csv.reader([line], delimiter=mark, strict=True, skipinitialspace=True), [])
-    except csv.Error:
-        return []
-    return [cell.strip() for cell in row]
-
-
-def _trimmed(cells: list[str]) -> list[str]:
-    """The cells without empty ones at the end."""
-    return cells[: max((k for k, cell in enumerate(cells, 1) if cell), default=0)]
-
-
-def _places(cells: Sequence[str], decimal_comma: bool) -> tuple[int, ...]:
-    """Places of the numbers and dates in a row; none if a cell should be split further."""
-    known = [is_number(cell, decimal_comma) or is_dated(cell) for cell in cells]
-    if any(_TO_BE_SPLIT.match(c) for c, good in zip(cells, known, strict=True) if not good):
-        return ()
-    return tuple(k for k, good in enumerate(known) if good)
-
-
 class _Reader:
     """Reads a table step by step; :meth:`table` has the order of the steps."""
 
@@ -248,11 +218,12 @@ class _Reader:
     """Line of the header; 0 without a header."""
     names: list[str]
     """Of the columns, as they stand there."""
+    rows: NDArray[np.int64]
+    """Lines of the rows."""
+    cells: list[_Cells]
+    """Texts of each column."""
     start, step = 0, Fraction(0)
     """Of the times of frames and rows, ns."""
-    is_dated: bool
-    is_clock: bool
-    """Whether times are dates, or times of day without a date."""
 
     def __init__(self, path: Path, form: TableForm, *, strict: bool) -> None:
         """Read the lines of the file."""
@@ -278,8 +249,7 @@ class _Reader:
         self.find_rows(expected)
         self.find_names()
         self.split_rows()
-        times = self.read_times()
-        self.leave_out(times)
+        times, columns = self.read_times()
         kept = np.flatnonzero(~np.isin(self.rows, [*self.lost]))
         kept = kept[self.order(times[kept], self.rows[kept])]
         if self.above(begin := self.header or self.first):
@@ -288,7 +258,7 @@ class _Reader:
             path=self.path,
             times=times[kept],
             lines=self.rows[kept],
-            cells={name: cells[kept] for name, cells in self.columns.items()},
+            cells={name: cells[kept] for name, cells in columns.items()},
             header=self.header,
             words=self.words,
             is_counted=bool(self.step),
@@ -329,14 +299,9 @@ class _Reader:
                 problem += f"; line {sample[-1]} is {shown(lines[-1])} (--separator, --decimal)"
             raise UsageError(problem)
         self.reading, self.first = best, sample[best.first()]
-        as_good = {each.mark for each in found if each.alike == best.alike}
-        if best.mark == "," and _NONE in as_good:
-            self.check_commas()
-
-    def check_commas(self) -> None:
-        """Check that a line above the rows shows that commas stand between columns."""
         above = self.above(self.first)
-        if not above or "," not in self.lines[above - 1]:
+        is_plain = any(each.mark == _NONE and each.alike == best.alike for each in found)
+        if best.mark == "," and is_plain and (not above or "," not in self.lines[above - 1]):
             row = shown(self.lines[self.first - 1])
             problem = f"{row} is two columns, or one with a decimal comma"
             self.wrong(self.first, f"{problem}; expected --separator comma or --decimal comma")
@@ -393,9 +358,7 @@ class _Reader:
         return names
 
     def split_rows(self) -> None:
-        """Split the rows: ``rows`` are their lines, ``cells`` the texts of each named column."""
-        import pandas as pd  # noqa: PLC0415 (takes a third of a second)
-
+        """Split the rows, each into as many cells as there are names."""
         numbers = [*self.content(self.first)]
         if self.lines[-1] and self.is_cut(numbers):
             self.lost[numbers[-1]] = f"{shown(self.lines[-1])} is cut: the file ends in it"
@@ -405,33 +368,15 @@ class _Reader:
         numbers = [line for line in numbers if line not in self.lost]
         if not numbers:
             self.wrong(self.first, self.lost[self.first])
-        lines, mark = [self.lines[line - 1] for line in numbers], self.reading.mark
-        if mark == " ":
-            lines, mark = [_NONE.join(line.split()) for line in lines], _NONE
-        known = len(self.names)
-        width = max(known, *map(str.count, lines, repeat(mark))) + 1
-        try:
-            frame = pd.read_csv(
-                StringIO("\n".join(lines)),
-                sep=mark,
-                header=None,
-                names=range(width),
-                index_col=False,
-                dtype=object,
-                na_filter=False,
-                skip_blank_lines=False,
-                skipinitialspace=True,
-            )
-        except ValueError:
-            frame = pd.DataFrame()
-        if len(frame) != len(lines):
-            odd = (line for line in numbers if self.lines[line - 1].count('"') % 2)
-            self.wrong(next(odd, self.first), "a quotation mark is not closed")
+        known, rows = len(self.names), list[list[str]]()
+        for line in numbers:
+            if not (row := _split(self.lines[line - 1], self.reading.mark)):
+                self.wrong(line, "a quotation mark is not closed")
+            if (width := len(_trimmed(row))) > known:
+                self.bad[line] = f"{width} columns found; the header has {known}"
+            rows.append([*row[:known], *[""] * (known - len(row))])
         self.rows = np.array(numbers, dtype=np.int64)
-        self.cells = [frame[k].to_numpy(object) for k in range(known)]
-        for k in range(known, width):
-            for row in np.flatnonzero(frame[k] != ""):
-                self.bad[numbers[row]] = f"{k + 1} columns found; the header has {known}"
+        self.cells = [np.array(column, dtype=object) for column in zip(*rows, strict=True)]
 
     def is_cut(self, numbers: Sequence[int]) -> bool:
         """Whether the last line ends earlier than those before, of equally many decimals."""
@@ -440,44 +385,44 @@ class _Reader:
         *before, last = (len("".join(re.findall(decimals, line))) for line in lines)
         return len(before) >= _FEW and len({*before}) == 1 and last < before[0]
 
-    def read_times(self) -> Stamps:
-        """Times of the rows, ns; NO_TIME where there is none. All other columns get names."""
+    def read_times(self) -> tuple[Stamps, dict[str, _Cells]]:
+        """Times of the rows, ns, and all other columns by their names, told apart."""
         places, rate = self.places_of_time(), self.form.frame_rate
         if rate and (not places or self.form.time_column or counts_frames(self.names[places[0]])):
             self.step = NS_PER_S / rate
-        texts = [str(k) for k in range(len(self.rows))]
-        if places:
-            texts = [each.strip() for each in self.cells[places[0]]]
+        texts = self.cells[places[0]].tolist() if places else [*map(str, range(len(self.rows)))]
         first = next((each for each in texts if each.lower() not in _NO_NUMBERS), "")
         self.is_clock = not self.step and ns_of_clock(first) is not None
-        self.is_dated = not self.step and ns_of_date(first) is not None
+        is_dated = not self.step and ns_of_date(first) is not None
         days = [k for k, name in enumerate(self.names) if self.is_clock and is_day(name)]
         if days:
-            texts = [f"{a.strip()} {b}" for a, b in zip(self.cells[days[0]], texts, strict=True)]
-            self.is_dated, self.is_clock = True, False
-        self.texts, self.columns = (
-            texts,
-            {
-                name: self.cells[k]
-                for k, name in enumerate(_told_apart(self.names))
-                if name and k not in (*places, *days)
-            },
-        )
-        if self.is_dated or self.is_clock:
+            texts = [f"{day} {time}" for day, time in zip(self.cells[days[0]], texts, strict=True)]
+            is_dated, self.is_clock = True, False
+        if is_dated or self.is_clock:
             if self.form.time_unit is not None:
                 problem = f"--time-unit {self.form.time_unit} given for dates; leave it out"
                 self.wrong(self.header or self.first, problem)
-            self.words = "times as dates in UTC" if self.is_dated else "times as h:min:s"
-            read = map(ns_of_date if self.is_dated else ns_of_clock, texts)
+            self.words = "times as dates in UTC" if is_dated else "times as h:min:s"
+            read = map(ns_of_date if is_dated else ns_of_clock, texts)
             known = [NO_TIME if t is None or abs(t) > MAX_STAMP else t for t in read]
-            return np.array(known, dtype=np.int64)
-        unit = self.step or self.unit(self.names[places[0]])
-        self.words = f"times in {unit_words(unit)}"
+            times = np.array(known, dtype=np.int64)
+        else:
+            times = self.times_of_numbers(texts, places)
+        is_in_unit = not (self.step or is_dated or self.is_clock)
+        self.leave_out(times, texts, " (--time-unit)" if is_in_unit else "")
+        named = enumerate(_told_apart(self.names))
+        return times, {n: self.cells[k] for k, n in named if n and k not in (*places, *days)}
+
+    def times_of_numbers(self, texts: Sequence[str], places: Sequence[int]) -> Stamps:
+        """Times that are numbers, of frames or in a unit, ns; NO_TIME where there is none."""
         if self.step:
-            what = "frames" if places else "rows"
-            self.words = f"times of {what} at {float(NS_PER_S / unit):.10g} Hz"
-        texts = _with_points(texts, self.reading.decimal_comma)
-        times = ns_of_numbers(texts, _floats(texts), unit)
+            what, hertz = "frames" if places else "rows", float(NS_PER_S / self.step)
+            unit, self.words = self.step, f"times of {what} at {hertz:.10g} Hz"
+        else:
+            unit = self.unit(self.names[places[0]])
+            self.words = f"times in {unit_words(unit)}"
+        numbers = _with_points(texts, self.reading.decimal_comma)
+        times = ns_of_numbers(numbers, _floats(numbers), unit)
         return np.where(times == NO_TIME, times, times + self.start)
 
     def places_of_time(self) -> list[int]:
@@ -491,7 +436,7 @@ class _Reader:
             frames = [k for k, name in enumerate(self.names) if counts_frames(name)]
             places = frames if len(frames) == 1 else places
         if not (places or given or self.form.frame_rate):
-            dates = [k for k, cells in enumerate(self.cells) if is_dated(cells[0].strip())]
+            dates = [k for k, cells in enumerate(self.cells) if _is_dated(cells[0])]
             places = [0] if self.strict and len(told) == 1 else dates[:1]
         listed = ", ".join(told[k] for k in places or range(len(told)))
         listed, line = shorten(listed, 5 * _SHOWN, placeholder=" ..."), self.header
@@ -505,16 +450,17 @@ class _Reader:
 
     def unit(self, name: str) -> Fraction:
         """The unit of a column of time, ns: that of the form, else of its name, else a second."""
-        unit = None if self.form.time_unit is None else Fraction(UNITS[self.form.time_unit])
+        if self.form.time_unit is not None:
+            return Fraction(UNITS[self.form.time_unit])
         try:
-            return unit or unit_in(name) or Fraction(NS_PER_S)
+            return unit_in(name) or Fraction(NS_PER_S)
         except UnknownUnitError as unknown:
             problem = f"{name}: {str(unknown)!r} is no unit of time that is understood"
             raise UsageError(
                 f"{self.path}, line {self.header}: {problem}; {UNDERSTOOD}, or --time-unit"
             ) from None
 
-    def leave_out(self, times: Stamps) -> None:
+    def leave_out(self, times: Stamps, texts: Sequence[str], option: str) -> None:
         """Note the rows without a time, and all from another table on.
 
         Raises:
@@ -522,13 +468,12 @@ class _Reader:
         """
         numbers = self.rows.tolist()
         for k in np.flatnonzero(times == NO_TIME).tolist():
-            above, cell = self.lines[numbers[k] - 2], self.texts[k]
-            if k and not self.strict and not above.strip() and cell[:1].isalpha():
+            above = self.lines[numbers[k] - 2]
+            if k and not self.strict and not above.strip() and texts[k][:1].isalpha():
                 self.lost |= dict.fromkeys(numbers[k:], "another table begins: split the file")
                 break
-            option = "" if self.step or self.is_dated or self.is_clock else " (--time-unit)"
             expected = f"{self.words}{option}, at most {text(MAX_STAMP)} s"
-            self.bad[numbers[k]] = f"{shown(cell)} found; expected {expected}"
+            self.bad[numbers[k]] = f"{shown(texts[k])} found; expected {expected}"
         if self.strict and self.bad:
             self.wrong(min(self.bad), self.bad[min(self.bad)])
         total = len({*numbers, *self.lost})
@@ -557,13 +502,46 @@ class _Reader:
             remedy = "times of day need a date where they pass midnight"
         elif is_apart and -2 * steps[k] > np.ptp(times):
             remedy = "--sort would swap the rows before and after the step; mend the times"
-            remedy = "dates need a zone where summer time ends" if self.is_dated else remedy
+            if self.words.startswith("times as dates"):
+                remedy = "dates need a zone where summer time ends"
         elif self.form.sort:
             return np.argsort(times, kind="stable")
         step = f"{seconds_between(int(times[k + 1]), int(times[k])):.9g} s"
         ends = f"from {text(int(times[k]))} to {text(int(times[k + 1]))} s"
         where = f"{self.path}, line {lines[k + 1]}"
         raise UsageError(f"{where}: the clock steps back by {step}, {ends}; {remedy}")
+
+
+def _split(line: str, mark: str) -> list[str]:
+    """The cells of a line, without blanks around them; none if quotes are not closed."""
+    if mark == " ":
+        line = " ".join(line.split())
+        line = line if '"' in line else re.sub(r" (?=[\[(])", "_", line)  # time (s)
+    row = line.split(mark)
+    if '"' in line:
+        try:
+            row = next(csv.reader([line], delimiter=mark, strict=True, skipinitialspace=True))
+        except csv.Error:
+            return []
+    return [cell.strip() for cell in row]
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    """The cells without empty ones at the end."""
+    return cells[: max((k for k, cell in enumerate(cells, 1) if cell), default=0)]
+
+
+def _places(cells: Sequence[str], decimal_comma: bool) -> tuple[int, ...]:
+    """Places of the numbers and dates in a row; none if a cell should be split further."""
+    known = [is_number(cell, decimal_comma) or _is_dated(cell) for cell in cells]
+    if any(_TO_BE_SPLIT.match(c) for c, good in zip(cells, known, strict=True) if not good):
+        return ()
+    return tuple(k for k, good in enumerate(known) if good)
+
+
+def _is_dated(cell: str) -> bool:
+    """Whether a cell is a date, with or without a time, or a time of day."""
+    return ns_of_clock(cell) is not None or ns_of_date(cell) is not None
 
 
 def _told_apart(names: Sequence[str]) -> list[str]:

@@ -66,11 +66,7 @@ def typestore() -> Typestore:
 
 
 def parse_definition(definition: str, type_name: str) -> Typesdict:
-    """The types in the definition of a message type that a bag has.
-
-    Args:
-        definition: the text of the message type, followed by those of its parts; or as IDL.
-        type_name: the message type, whose text is the first one.
+    """The types in a definition: the text of a message type, then those of its parts; or IDL.
 
     Raises:
         BagError: the text is no definition of ``type_name``.
@@ -150,16 +146,10 @@ def _blank_field(kind: Any) -> Any:  # noqa: ANN401 (as rosbags describes it)
 
 
 def installed_definition(type_name: str) -> str | None:
-    """The text of a message type and its parts, as installed by its interface package.
+    """The text of a message type and its parts, for :func:`parse_definition`; None without.
 
-    The text is searched in ``share/<package>/msg`` of the prefixes in ``AMENT_PREFIX_PATH`` and of
+    The texts are those in ``share/<package>/msg`` of the prefixes in ``AMENT_PREFIX_PATH`` and of
     the Python environment.
-
-    Args:
-        type_name: such as ``sensor_msgs/msg/Imu``.
-
-    Returns:
-        A text for :func:`parse_definition`; None when a part is not installed.
     """
     texts: dict[str, str] = {}
     pending = [type_name]

@@ -2,12 +2,11 @@
 """Writing a bag: an MCAP directory that ``ros2 bag`` reads, by the library ``mcap``."""
 
 import os
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple, final
+from typing import Any, final
 
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2.metadata import dump_qos_v9
@@ -23,18 +22,6 @@ _CHUNK = 2**16
 """Bytes in a chunk, which is what one flipped bit costs."""
 _NO_MESSAGE = 2**63 - 1
 """Starting time that rosbag2 writes for a bag without messages, ns."""
-
-
-class _Topic(NamedTuple):
-    """A topic that is declared.
-
-    Attributes:
-        channel: its number in the file.
-        about: what ``metadata.yaml`` says of it.
-    """
-
-    channel: int
-    about: dict[str, object]
 
 
 def bag_file(path: Path) -> str:
@@ -68,10 +55,12 @@ class BagWriter:
     """A bag, open for writing; a context manager, whose end closes the bag.
 
     If the process is killed or the machine loses power, the disk has every message that was
-    written before the last :meth:`flush`, or in a chunk that was full.
+    written before the last :meth:`flush`, or in a chunk that was full. Every method raises
+    BagError if the disk is full or gone.
 
     Attributes:
         path: the bag.
+        message_count: messages written so far.
     """
 
     def __init__(self, path: Path | str, folder: Path | None = None) -> None:
@@ -85,16 +74,15 @@ class BagWriter:
         Raises:
             UsageError: something is at ``path`` already, or its parent is no folder. Then nothing
                 is created.
-            BagError: the disk is full or gone.
         """
-        self.path = Path(path)
+        self.path, self.message_count = Path(path), 0
         check_free(self.path)
         self._folder = folder or self.path
         self._store = new_typestore()
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, dict[str, Any]] = {}  # as metadata.yaml has them
+        self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._counts = Counter[int]()
-        self._start = self._end = 0
+        self._start, self._end = _NO_MESSAGE, 0
         self._is_open = True
         with self._one_line():
             self._folder.mkdir(mode=0o755)
@@ -108,11 +96,6 @@ class BagWriter:
             )
             self._writer.start("ros2", f"impact_observer {__version__}")
 
-    @property
-    def message_count(self) -> int:
-        """Messages written so far."""
-        return self._counts.total()
-
     def __enter__(self) -> "BagWriter":
         return self
 
@@ -120,11 +103,7 @@ class BagWriter:
         self.close()
 
     def close(self) -> None:
-        """Write the last chunk, the index and the metadata; closing twice does no harm.
-
-        Raises:
-            BagError: the disk is full or gone.
-        """
+        """Write the last chunk, the index and the metadata; closing twice does no harm."""
         if not self._is_open:
             return
         self._is_open = False
@@ -139,29 +118,26 @@ class BagWriter:
 
     def _metadata(self) -> dict[str, object]:
         """What ``metadata.yaml`` says of the bag: version 9, that of Jazzy."""
+        length = max(self._end - self._start, 0)
+
+        def extent() -> dict[str, object]:  # no value twice: YAML would refer to the first
+            return {
+                "message_count": self.message_count,
+                "duration": {"nanoseconds": length},
+                "starting_time": {"nanoseconds_since_epoch": self._start},
+            }
+
         return {
             "version": 9,
             "storage_identifier": "mcap",
             "relative_file_paths": [bag_file(self.path)],
-            **self._extent(),
-            "topics_with_message_count": [
-                {"topic_metadata": each.about, "message_count": self._counts[each.channel]}
-                for each in self._topics.values()
-            ],
+            **extent(),
+            "topics_with_message_count": [*self._topics.values()],
             "compression_format": "",
             "compression_mode": "",
-            "files": [{"path": bag_file(self.path), **self._extent()}],
+            "files": [{"path": bag_file(self.path), **extent()}],
             "custom_data": None,
             "ros_distro": "rosbags",
-        }
-
-    def _extent(self) -> dict[str, object]:
-        """Number, duration and start of the messages."""
-        start = self._start if self._counts else _NO_MESSAGE
-        return {
-            "message_count": self.message_count,
-            "duration": {"nanoseconds": self._end - self._start},
-            "starting_time": {"nanoseconds_since_epoch": start},
         }
 
     def declare(
@@ -195,52 +171,36 @@ class BagWriter:
             raise UsageError(f"{self.path}: {topic} is {type_name}; give its definition too")
         offered = dump_qos_v9([(quality or usual_quality(topic)).offered()])
         type_hash = self._store.hash_rihs01(type_name)
-        in_file = {
-            "offered_qos_profiles": _yaml(offered).strip(),
-            "topic_type_hash": type_hash,
-        }
+        in_file = {"offered_qos_profiles": _yaml(offered).strip(), "topic_type_hash": type_hash}
         with self._one_line():
-            schema = self._schema(type_name)
-            channel = self._writer.register_channel(topic, "cdr", schema, in_file)
-        about: dict[str, object] = {
+            if type_name not in self._schemas:
+                text, _ = self._store.generate_msgdef(type_name, ros_version=2)
+                encoding = "ros2idl" if text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
+                number = self._writer.register_schema(type_name, encoding, text.encode())
+                self._schemas[type_name] = number
+            self._channels[topic] = self._writer.register_channel(
+                topic, "cdr", self._schemas[type_name], in_file
+            )
+        about = {
             "name": topic,
             "type": type_name,
             "serialization_format": "cdr",
             "offered_qos_profiles": offered,
             "type_description_hash": type_hash,
         }
-        self._topics[topic] = _Topic(channel, about)
-
-    def _schema(self, type_name: str) -> int:
-        """The number of the schema of a message type, which is registered once."""
-        if type_name not in self._schemas:
-            text, _ = self._store.generate_msgdef(type_name, ros_version=2)
-            encoding = "ros2idl" if text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
-            number = self._writer.register_schema(type_name, encoding, text.encode())
-            self._schemas[type_name] = number
-        return self._schemas[type_name]
+        self._topics[topic] = {"topic_metadata": about, "message_count": 0}
 
     def write(self, topic: str, log_time: int, message: object) -> None:
         """Write a message of :func:`~impact_observer.io.messages.bag_messages`.
 
-        Args:
-            topic: the absolute name; if it is one of ours, it need not be declared.
-            log_time: when it is recorded, ns.
-            message: a message of the topic's type.
-
         Raises:
-            UsageError: the topic is not declared, or the message is of another type.
-            BagError: the disk is full or gone.
+            UsageError: as of :meth:`write_raw`, or the message is of another type.
         """
         self.write_raw(topic, log_time, self.serialized(topic, message))
 
     def serialized(self, topic: str, message: object) -> bytes:
-        """The bytes of a message, as :meth:`write_raw` takes them.
-
-        Raises:
-            UsageError: as of :meth:`write`.
-        """
-        type_name = str(self._topic(topic).about["type"])
+        """The bytes of a message, as :meth:`write_raw` takes them; errors as of :meth:`write`."""
+        type_name = self._topic(topic)["topic_metadata"]["type"]
         if (given := getattr(message, "__msgtype__", type(message).__name__)) != type_name:
             raise UsageError(f"{self.path}: {topic} is {type_name}; not {given}")
         return bytes(self._store.serialize_cdr(message, type_name))
@@ -255,18 +215,17 @@ class BagWriter:
 
         Raises:
             UsageError: the topic is not declared, or the log time is before 0.
-            BagError: the disk is full or gone.
         """
-        channel = self._topic(topic).channel
+        about = self._topic(topic)
         if log_time < 0:
             raise UsageError(f"{self.path}: {topic} at log time {log_time} ns; expected 0 or more")
         with self._one_line():
-            self._writer.add_message(channel, log_time, data, publish_time=log_time)
-        self._start = min(self._start, log_time) if self._counts else log_time
-        self._end = max(self._end, log_time)
-        self._counts[channel] += 1
+            self._writer.add_message(self._channels[topic], log_time, data, publish_time=log_time)
+        self._start, self._end = min(self._start, log_time), max(self._end, log_time)
+        self.message_count += 1
+        about["message_count"] += 1
 
-    def _topic(self, topic: str) -> _Topic:
+    def _topic(self, topic: str) -> dict[str, Any]:
         """Returns a topic; a topic of this package that is not declared yet is declared."""
         if not self._is_open:
             raise UsageError(f"{self.path}: is closed; nothing more can be written")
@@ -275,11 +234,7 @@ class BagWriter:
         return self._topics[topic]
 
     def flush(self) -> None:
-        """Close the chunk in progress; return when the disk has all messages so far.
-
-        Raises:
-            BagError: the disk is full or gone.
-        """
+        """Close the chunk in progress; return when the disk has all messages so far."""
         with self._one_line():
             self._writer.flush()  # type: ignore[no-untyped-call]
             self._synchronize()

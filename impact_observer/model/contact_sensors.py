@@ -2,16 +2,15 @@
 """What is left of the errors of the sensors of single contacts."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Keys, Share, converted
+from impact_observer.model.document import Keys, Share, Value
 from impact_observer.model.free_parameters import LATENCY
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -20,7 +19,7 @@ KEY = "sensors"
 
 
 class ContactSensor(Keys, frozen=True):
-    """What is left of the errors of a contact's sensor; unset are the errors of all contacts.
+    """What is left of the errors of a contact's sensor; None for the error of all contacts.
 
     Attributes:
         clock_error: standard deviation of the stamps, s.
@@ -28,64 +27,41 @@ class ContactSensor(Keys, frozen=True):
         latency: by which the stamps are late, s; negative for early stamps.
     """
 
-    clock_error: Share | UnsetType = UNSET
-    missed: Share | UnsetType = UNSET
-    latency: Annotated[float, Meta(ge=-10.0, le=10.0)] | UnsetType = UNSET
+    clock_error: Share | None = None
+    missed: Share | None = None
+    latency: Annotated[float, Meta(ge=-10.0, le=10.0)] | None = None
 
     def given(self) -> dict[str, float]:
         """The values that are set, by name."""
         named = msgspec.structs.asdict(self)
-        return {name: float(value) for name, value in named.items() if value is not UNSET}
+        return {name: float(value) for name, value in named.items() if value is not None}
 
 
-@dataclass(frozen=True, slots=True)
-class ContactSensors:
-    """The sensors of contacts that have other errors than all contacts.
-
-    Attributes:
-        by_contact: names of contacts, each with its sensor; None for a contact without a sensor.
-
-    Raises:
-        ModelError: a value is out of its range; the error names the key.
-    """
-
-    by_contact: tuple[tuple[str, ContactSensor | None], ...] = ()
-
-    def __post_init__(self) -> None:
-        """Check all values."""
-        for contact, sensor in self.by_contact:
-            if sensor is not None:
-                converted(sensor.given(), ContactSensor, f"{KEY}.{contact}")
-
-    @property
-    def document(self) -> dict[str, object]:
-        """The value of the key ``sensors``."""
-        return {
-            contact: "none" if sensor is None else sensor.given()
-            for contact, sensor in self.by_contact
-        }
-
-
-NO_SENSORS = ContactSensors()
+ContactSensors: TypeAlias = Mapping[str, ContactSensor | None]
+"""Sensors by the names of contacts with errors of their own; None for no sensor."""
+NO_SENSORS: ContactSensors = {}
 """All contacts have the same errors."""
 
 
 def contact_sensors(
-    sensors: Mapping[str, ContactSensor | Literal["none"]], contacts: Sequence[str]
+    given: Mapping[str, ContactSensor | Literal["none"]], contacts: Sequence[str]
 ) -> ContactSensors:
     """The sensors in a model file with these ``contacts``.
 
     Raises:
         ModelError: an unknown contact.
     """
-    for name in sensors:
+    for name in given:
         if name not in contacts:
             wanted = ", ".join(contacts) or "none, as it has no contacts"
             raise ModelError(f"{KEY}.{name}", f"is no contact; expected one of {wanted}")
-    own = {name: sensors[name] for name in contacts if name in sensors}
-    return ContactSensors(
-        tuple((name, None if each == "none" else each) for name, each in own.items())
-    )
+    own = {name: given[name] for name in contacts if name in given}
+    return {name: None if each == "none" else each for name, each in own.items()}
+
+
+def written_sensors(sensors: ContactSensors) -> dict[str, Value]:
+    """The value of the key ``sensors`` in a model file."""
+    return {name: "none" if each is None else each.given() for name, each in sensors.items()}
 
 
 class ContactErrors(NamedTuple):
@@ -109,7 +85,7 @@ class ContactErrors(NamedTuple):
         m = len(contacts)
         errors = cls(np.full(m, np.nan), np.full(m, missed), np.zeros(m))
         parts = {"clock_error": errors.clock, "missed": errors.missed, "latency": errors.latency}
-        for name, sensor in sensors.by_contact:
+        for name, sensor in sensors.items():
             for key, value in ({"missed": 1.0} if sensor is None else sensor.given()).items():
                 parts[key][contacts.index(name)] = value
         return errors

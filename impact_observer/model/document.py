@@ -7,9 +7,8 @@ Every mistake is one error that names the key, what was found and what is expect
 import math
 import re
 import types
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin
-from typing import get_type_hints as hints_of
 
 import msgspec
 import numpy as np
@@ -30,8 +29,6 @@ Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Name = Annotated[str, Meta(pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+$")]
 """A text that can be printed, of one letter at least."""
 T = TypeVar("T")
-_STEP = re.compile(r"\.([^.\[]+)|\[(\d+|\.\.\.)\]")
-_MESSAGE = re.compile(r"(.*?)(?: - at `(?:key` in `)?\$(.*)`)?", re.DOTALL)
 _WORDS: dict[object, str] = {
     float: "a number",
     int: "a whole number",
@@ -41,31 +38,33 @@ _WORDS: dict[object, str] = {
 }
 _MEMBERS: dict[object, str] = {float: "numbers", str: "names", tuple: "lists of numbers"}
 """What types, and the members of lists, are called in errors."""
-
-_BY_SPEED = "a table of restitutions by speed"
-_DRIVE = "the drive whose index pulses tell a force's phase"
-_OF_CONTACTS = {
-    "contact_time": "the duration of an impact",
-    "velocity_offset": "the speed of a stop that drives what it hits",
-    "restitution.speeds": _BY_SPEED,
-    "restitution.values": _BY_SPEED,
-}
-_GONE = {
-    "friction": "dry friction of guides",
-    "grounds.motion.live": "a ground whose motion arrives live",
-    "forces.order": _DRIVE,
-    "forcing.harmonics.order": _DRIVE,
-    **{f"stops.{key}": purpose for key, purpose in _OF_CONTACTS.items()},
-    **{f"contacts.{key}": purpose for key, purpose in _OF_CONTACTS.items()},
-    "measurements.gain": "the use of samples by laws without covariance",
-    "measurements.deviation: learn": "learn",
-    "unit: deg": "the conversion of degrees",
-}
-"""What version 0.4.0 took out, by its key without indices, or by key and value."""
+_GONE = re.compile(
+    r"friction|grounds\.motion\.live|(forces|forcing\.harmonics)\.order|measurements\.gain|"
+    r"(stops|contacts)\.(contact_time|velocity_offset|restitution\.(speeds|values))|"
+    r"measurements\.deviation: learn|unit: deg"
+)
+"""What version 0.4.0 took out: keys without indices, or such a key and its value."""
+_WENT = "went in 0.4.0; impact_observer 0.3.0 has it"
 
 
 class Keys(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Keys that stand together in a file; any other key there is an error."""
+    """Keys that stand together in a file; any other key there is an error.
+
+    What a class asks of several keys is in its ``__post_init__``, whose errors name such a key.
+    """
+
+    def check_form(self, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
+        """Check that of the keys that may be left out only those of one form are given.
+
+        Raises:
+            ModelError: a ``needed`` key is missing, or one is given that is not ``optional``.
+        """
+        for each in msgspec.structs.fields(self):
+            is_given = each.required or getattr(self, each.name) is not None
+            if each.name in needed and not is_given:
+                raise ModelError(each.name, "is missing")
+            if is_given and not (each.required or each.name in (*needed, *optional)):
+                raise ModelError(each.name, f"does not go with {needed[0]}")
 
 
 def converted(value: Value, kind: type[T], key: str = "") -> T:
@@ -75,59 +74,60 @@ def converted(value: Value, kind: type[T], key: str = "") -> T:
         ModelError: one line that names the key, what was found and what is expected.
     """
     try:
-        return msgspec.convert(_without_numpy(value), kind)
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        raise next(_mistakes(value, kind, key)) from None
+
+
+def _mistakes(found: Value, kind: object, key: str) -> Iterator[ModelError]:
+    """The errors of what was ``found`` at a ``key``, of parts before the whole."""
+    try:
+        msgspec.convert(found, kind)
     except msgspec.ValidationError as error:
-        raise _explained(str(error), value, kind, key) from None
+        yield from _explained(found, kind, key, error.__cause__)
 
 
-def _without_numpy(value: Value) -> Value:
-    """A value, or a mapping, in which a number of an array is a number."""
-    if isinstance(value, np.generic):
-        return value.item()
-    return {k: _without_numpy(v) for k, v in value.items()} if isinstance(value, dict) else value
-
-
-def _explained(message: str, found: Value, kind: object, key: str) -> ModelError:
-    """The error for a ``message`` of msgspec on the conversion of what was ``found``."""
-    parts = _MESSAGE.fullmatch(message)
-    problem, path = parts.groups(default="") if parts else (message, "")
-    for name, index in _STEP.findall(path):
-        if not isinstance(found, list | Mapping):
-            break  # such as a set
-        at = _alternative(kind, found)
-        if isinstance(found, list):
-            kind, key, found = get_args(at)[0], f"{key}[{index}]", found[int(index)]
-            continue
-        kind = hints_of(at, include_extras=True)[name] if name else get_args(at)[-1]
-        # msgspec does not name the member of a mapping
-        member = name or next(k for k, value in found.items() if not _fits(value, kind))
-        key, found = f"{key}.{member}", found[member]
-    key = key.removeprefix(".")
-    if "`key`" in message and isinstance(found, Mapping):
-        names = [str(name) for name in found if not isinstance(name, str)]
-        return ModelError(f"{key}.{names[0]}".removeprefix("."), "is no text; expected a name")
-    if what := re.search("(unknown|missing required) field `(.*)`", problem, re.DOTALL):
-        key = f"{key}.{what[2]}".removeprefix(".")
-        if what[1] != "unknown":
-            return ModelError(key, "is missing")
-        known = ", ".join(_alternative(kind, found).__struct_fields__)
-        return ModelError(key, _gone(key) or f"is not known here; expected one of {known}")
+def _explained(
+    found: Value, kind: object, key: str, cause: BaseException | None
+) -> Iterator[ModelError]:
+    """The errors of what is no ``kind``; ``cause`` is that of a check of several keys."""
+    at = _alternative(kind, found)
+    if isinstance(found, list) and get_origin(at) is tuple:
+        for i, each in enumerate(found):
+            yield from _mistakes(each, get_args(at)[0], f"{key}[{i}]")
+    elif isinstance(found, Mapping) and at is not None:
+        yield from _mistakes_of_keys(found, at, f"{key}." if key else "")
+    if isinstance(cause, ModelError):
+        yield ModelError(f"{key}.{cause.key}".removeprefix("."), cause.problem)
+    wanted = _expected(kind)
     if isinstance(found, float | int) and not abs(found) <= LARGEST:
-        return ModelError(key, f"{shown(found)} found; expected a number of at most {LARGEST:g}")
-    wanted = _gone(key) or _gone(key, found)
-    return ModelError(key, wanted or f"{shown(found)} found; expected {_expected(kind)}")
+        wanted = f"a number of at most {LARGEST:g}"
+    went = f"{found} {_WENT}" if _is_gone(f"{key}: {found}") else f"{shown(found)} found"
+    yield ModelError(key, _WENT if _is_gone(key) else f"{went}; expected {wanted}")
 
 
-def _gone(key: str, value: object = None) -> str:
-    """Why ``key``, such as ``stops[0].gap``, cannot have its ``value``; empty where nothing went.
+def _mistakes_of_keys(found: Mapping[Any, Value], at: Any, prefix: str) -> Iterator[ModelError]:  # noqa: ANN401 (a type, as of a hint)
+    """The errors of unknown and missing keys, then of the values."""
+    is_struct = get_origin(at) is None
+    fields = {each.encode_name: each for each in msgspec.structs.fields(at)} if is_struct else {}
+    for name in found:
+        if not isinstance(name, str):
+            yield ModelError(f"{prefix}{name}", "is no text; expected a name")
+        elif is_struct and name not in fields:
+            known = ", ".join(filter(str.isprintable, fields))
+            unknown = f"is not known here; expected one of {known}"
+            yield ModelError(f"{prefix}{name}", _WENT if _is_gone(prefix + name) else unknown)
+    for name, each in fields.items():
+        if each.required and name not in found:
+            yield ModelError(f"{prefix}{name}", "is missing")
+    for name, value in found.items():
+        of = fields[name].type if is_struct else get_args(at)[1]
+        yield from _mistakes(value, of, f"{prefix}{name}")
 
-    Args:
-        key: the key in the file.
-        value: what stands there; None asks for the key alone.
-    """
-    place = re.sub(r"\[\d+\]", "", key)
-    purpose = _GONE.get(place if value is None else f"{place}: {value}")
-    return f"{purpose} went in 0.4.0; impact_observer 0.3.0 has it" if purpose else ""
+
+def _is_gone(what: str) -> bool:
+    """Whether version 0.4.0 took out a key, or a key with its value."""
+    return _GONE.fullmatch(re.sub(r"\[\d+\]", "", what)) is not None
 
 
 def _alternatives(kind: object) -> tuple[Any, ...]:
@@ -145,19 +145,11 @@ def _structs(kind: object) -> list[type[Keys]]:
     return [each for each in every if isinstance(each, type) and issubclass(each, Keys)]
 
 
-def _alternative(kind: object, found: Value) -> type[Keys]:
-    """The type of a list or a mapping, ``found``, among the alternatives."""
+def _alternative(kind: object, found: Value) -> Any:  # noqa: ANN401 (a type, as of a hint)
+    """The type of a list or a mapping, ``found``, among the alternatives; None without any."""
     wanted = tuple if isinstance(found, list) else dict
     containers = [each for each in _alternatives(kind) if get_origin(each) is wanted]
-    return (containers or _structs(kind))[0]
-
-
-def _fits(value: Value, kind: Any) -> bool:  # noqa: ANN401 (a type, as of a hint)
-    try:
-        msgspec.convert(value, kind)
-    except msgspec.ValidationError:
-        return False
-    return True
+    return next(iter(containers or _structs(kind)), None)
 
 
 def _expected(kind: object) -> str:
@@ -173,16 +165,18 @@ def _expected(kind: object) -> str:
     if structs := _structs(kind):
         return f"keys: {', '.join(structs[0].__struct_fields__)}"
     if get_origin(kind) is tuple:
-        (member, *_) = _alternatives(get_args(kind)[0])
-        return f"a list of {_MEMBERS.get(get_origin(member) or member, 'keys and values')}"
+        first, *others = get_args(kind)
+        (member, *_) = _alternatives(first)
+        count = "" if Ellipsis in others else f"{1 + len(others)} "
+        return f"a list of {count}{_MEMBERS.get(get_origin(member) or member, 'keys and values')}"
     return _WORDS.get(get_origin(kind) or kind, "something else")
 
 
 def _bounds(meta: Meta) -> str:
     """The bounds of a number or of the length of a list, in words; empty for the usual ones."""
     if meta.min_length is not None:
-        least, most = meta.min_length, meta.max_length
-        return f", {least}" if least == most else f", at least {least}"
+        most = "" if meta.max_length is None else f" and at most {meta.max_length}"
+        return f", at least {meta.min_length}{most}"
     low, high = meta.ge if meta.gt is None else meta.gt, meta.le if meta.lt is None else meta.lt
     if low is None or high is None or (low, high) == (-LARGEST, LARGEST):
         return ""
@@ -197,33 +191,15 @@ def shown(value: Value) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def vector(
-    key: str, values: Sequence[float] | msgspec.UnsetType, n: int, meaning: str = ""
-) -> Vector:
-    """``n`` numbers, zeros where the key is absent, shape (n,); ``meaning`` is for errors.
+def vector(key: str, values: Sequence[float] | None, n: int) -> Vector:
+    """``n`` numbers, zeros where the key is absent, shape (n,).
 
     Raises:
         ModelError: another number of numbers.
     """
-    if isinstance(values, msgspec.UnsetType):
+    if values is None:
         return np.zeros(n)
-    return finite(key, values, (n,), f"a list of {n} numbers{meaning}")
-
-
-def matrix(key: str, rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> Vector:
-    """Rows of numbers as an array of this ``shape``.
-
-    Raises:
-        ModelError: another number of rows, or of numbers in a row.
-    """
-    if len(rows) != shape[0]:
-        problem = f"{len(rows)} rows found; expected {shape[0]} rows of {shape[1]} numbers"
-        raise ModelError(key, problem)
-    for i, row in enumerate(rows):
-        if len(row) != shape[1]:
-            problem = f"{len(row)} values found; expected a list of {shape[1]} numbers"
-            raise ModelError(f"{key}[{i}]", problem)
-    return np.reshape(np.array(rows, dtype=np.float64), shape)
+    return finite(key, values, (n,), f"a list of {n} numbers")
 
 
 def finite(
@@ -238,7 +214,9 @@ def finite(
     try:
         array = frozen(values)
     except (TypeError, ValueError):
-        raise ModelError(key, f"is not made of numbers only; expected {what}") from None
+        raise ModelError(
+            key, f"has rows of several lengths, or other things than numbers; expected {what}"
+        ) from None
     if array.shape != shape:
         given = " x ".join(map(str, array.shape)) or "a single number"
         found = f"{given} values found" if array.ndim == 1 else f"has shape {given}"
@@ -250,6 +228,18 @@ def finite(
     is_finite = math.isfinite(array[tuple(at)])
     why = f"is too large; expected at most {largest:g}" if is_finite else "is not finite"
     raise ModelError(f"{key}{index}", why)
+
+
+def symmetric(key: str, matrix: Vector, slack: float | Vector) -> Vector:
+    """The symmetric part of a ``matrix``, frozen, shape (n, n).
+
+    Raises:
+        ModelError: entries differ from those across the diagonal by more than ``slack``.
+    """
+    for i, j in np.argwhere(np.abs(matrix - matrix.T) > slack)[:1].tolist():
+        problem = f"[{i}][{j}] is {matrix[i, j]:g} but [{j}][{i}] is {matrix[j, i]:g}"
+        raise ModelError(key, f"is not symmetric: {problem}; make them equal")
+    return frozen((matrix + matrix.T) / 2)
 
 
 def check_names(
@@ -274,10 +264,8 @@ def check_names(
     """
     for i, name in enumerate(names):
         place = f"{key}[{i}]{member}"
-        if not isinstance(name, str) or not name:
-            raise ModelError(place, f"{name!r:.40} is not a name; give a non-empty string")
-        if not name.isprintable():
-            raise ModelError(place, f"{name!r} has characters that cannot be printed")
+        if not isinstance(name, str) or not name or not name.isprintable():
+            raise ModelError(place, f"{name!r:.40} is not a name that can be printed")
         if name in names[:i] or name in taken:
             raise ModelError(place, f"{name!r} is taken already; names must differ")
     if least and not names:

@@ -2,7 +2,6 @@
 """Files beside a model file: matrices, and tables of what depends on time."""
 
 import csv
-import gzip
 import io
 import math
 from collections.abc import Iterable, Sequence
@@ -18,8 +17,6 @@ from impact_observer.model.document import LARGEST
 from impact_observer.resources import read_text
 from impact_observer.states import Matrix
 
-_MOST_TEXT, _MOST_NUMBERS = 200_000_000, 100_000_000
-"""Bytes of the text of a matrix, unpacked, and numbers in a matrix: more take minutes to read."""
 TIME = "time"
 """The column of instants in a table."""
 
@@ -39,23 +36,27 @@ def file_beside(key: str, relative: str, folder: Path | None) -> Path:
     return path
 
 
-def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
-    """The dense matrix in a ``.npy`` or Matrix Market file, relative to the model file.
+def load_matrix(
+    key: str, relative: str, folder: Path | None, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """The dense matrix of a ``shape`` in a ``.npy`` or Matrix Market file beside the model file.
 
     Raises:
-        ModelError: the file is missing, has another format or is not readable.
+        ModelError: the file is missing, not readable, or has something else.
     """
     path = file_beside(key, relative, folder)
-    if path.suffix not in (".npy", ".mtx", ".gz"):
+    if path.suffix not in (".npy", ".mtx"):
         raise ModelError(key, f"names {relative}; expected a .npy or Matrix Market (.mtx) file")
     try:
         check_input(path)
         if path.suffix == ".npy":
             with np.errstate(over="raise"):  # the product of the sizes in its header
                 matrix: NDArray[np.generic] = np.lib.format.open_memmap(path, mode="r")
-            _check_size(matrix.size)
         else:
-            matrix = _read_matrix_market(path)
+            _check_shape(scipy.io.mminfo(str(path))[:2], shape)
+            stored = scipy.io.mmread(str(path))
+            matrix = stored.toarray() if scipy.sparse.issparse(stored) else stored
+        _check_shape(matrix.shape, shape)
         if matrix.dtype.kind not in "fiu":  # numpy would drop an imaginary part with a warning
             raise ValueError(f"holds {matrix.dtype} values, expected real numbers")
         return np.array(matrix, dtype=np.float64)
@@ -63,26 +64,10 @@ def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
         raise ModelError(key, f"{path} cannot be read: {error}") from None
 
 
-def _read_matrix_market(path: Path) -> NDArray[np.generic]:
-    """The matrix in a Matrix Market file, which may be compressed by gzip.
-
-    Raises:
-        ValueError: the matrix or its text is too large.
-    """
-    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-        text = file.read(_MOST_TEXT + 1)
-    if len(text) > _MOST_TEXT:
-        raise ValueError(f"more than {_MOST_TEXT / 1e6:g} MB of text; write a .npy file")
-    rows, columns, *_ = scipy.io.mminfo(io.BytesIO(text))
-    _check_size(rows * columns)
-    matrix = scipy.io.mmread(io.BytesIO(text))
-    return np.asarray(matrix.toarray() if scipy.sparse.issparse(matrix) else matrix)
-
-
-def _check_size(count: int) -> None:
-    """Raise ValueError for a matrix of more numbers than that of any model."""
-    if count > _MOST_NUMBERS:
-        raise ValueError(f"{count:.6g} numbers; expected at most {_MOST_NUMBERS:g}")
+def _check_shape(found: tuple[int, ...], wanted: tuple[int, int]) -> None:
+    if found != wanted:
+        shown = (" x ".join(map(str, sizes)) for sizes in (found, wanted))
+        raise ValueError("{} numbers found; expected {}".format(*shown))
 
 
 def table_in(value: str) -> str:

@@ -19,6 +19,7 @@ _SAME = 1e-14
 """Largest difference of two instants by rounding, s."""
 _SLACK = 1e-9
 """How far before the first sample an instant may lie by rounding, s: one stamp."""
+_NO_JETS = frozen(np.empty((JETS, 0, 0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +43,13 @@ class Samples:
     time: Vector
     force: Matrix
     hold: str
-    jets: NDArray[np.float64] | None = None
+    jets: NDArray[np.float64] = field(default_factory=lambda: _NO_JETS)
     steps: Vector = field(init=False)
     rounding: float = field(init=False)
 
     def __post_init__(self) -> None:
         """Copy, freeze and check all fields, and derive the others."""
-        if self.hold not in HOLDS and self.jets is None:
+        if self.hold not in HOLDS and not self.jets.size:
             raise ModelError("forcing.hold", f"{self.hold!r} found; expected {' or '.join(HOLDS)}")
         time = _checked_time(self.time)
         n = np.shape(self.force)[-1] if np.ndim(self.force) == 2 else 1
@@ -61,7 +62,7 @@ class Samples:
         if np.max(np.abs(steps - mean)) <= rounding:
             steps = np.full(steps.size, mean)
         jets = np.zeros((JETS, *force.shape))
-        if self.jets is not None:
+        if self.jets.size:
             jets[:, :-1] = self.jets[:, :-1]
         elif self.hold == "linear":
             jets[1, :-1] = np.diff(force, axis=0) / steps[:, None]
@@ -84,7 +85,6 @@ class Samples:
     @property
     def drives(self) -> NDArray[np.bool_]:
         """Which coordinates have a force at some time, shape (n,)."""
-        assert self.jets is not None, "derived"
         return np.asarray(np.any(self.jets != 0, axis=(0, 1)))
 
     @property
@@ -117,7 +117,6 @@ class Samples:
         """
         self.check(t)
         j = self._index(t, self.rounding if slack is None else slack)
-        assert self.jets is not None, "derived"
         return shifted(self.jets[:, j], np.asarray(t - self.time[j]))
 
     def check(self, t: Vector | float) -> None:
@@ -144,12 +143,10 @@ class Samples:
         """The samples of ``T f``, for ``T`` of shape (r, n)."""
         if self.hold in HOLDS:
             return Samples(self.time, self.force @ T.T, self.hold)
-        assert self.jets is not None, "derived"
         return Samples.of_jets(self.time, self.jets @ T.T)
 
     def derivative(self) -> "Samples":
         """The rate of change of the samples."""
-        assert self.jets is not None, "derived"
         return Samples.of_jets(self.time, np.concatenate([self.jets[1:], 0 * self.jets[:1]]))
 
     def plus(self, other: "Samples") -> "Samples":

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The forcing ``f(t)`` of a system: constant, harmonics, squares, samples, and its bounds."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from impact_observer.errors import ModelError
 from impact_observer.model.document import finite
 from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.model.square_waves import SquareWaves
-from impact_observer.states import Matrix, Vector, frozen
+from impact_observer.states import Matrix, Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,9 +171,7 @@ class Forcing:
         if sampled is not None:
             rate = sampled.derivative()
             jets = [sampled.jets, rate.jets, rate.derivative().jets]
-            terms = [
-                part @ T.T for part, T in zip(jets, (P, Q, R), strict=True) if part is not None
-            ]
+            terms = [part @ T.T for part, T in zip(jets, (P, Q, R), strict=True)]
             sampled = Samples.of_jets(sampled.time, np.sum(terms, axis=0))
         return Forcing(
             P @ self.constant,
@@ -189,24 +187,22 @@ class Forcing:
         Raises:
             ModelError: a value is wrong; the error names the key of the model file.
         """
-        h = np.size(self.frequency)
-        if self.sampled is not None and self.sampled.force.shape[1] != n:
-            columns = self.sampled.force.shape[1]
-            raise ModelError("forcing.sampled.force", f"has {columns} columns; expected {n}")
-        if self.squares is not None and self.squares.force.shape[1] != n:
-            columns = self.squares.force.shape[1]
-            raise ModelError("forcing.squares.amplitude", f"has {columns} columns; expected {n}")
+        h, wanted = np.size(self.frequency), f"{n} numbers, one a coordinate"
+        driven = {"sampled.force": self.sampled, "squares.amplitude": self.squares}
+        for key, part in driven.items():
+            if part is not None and part.force.shape[1] != n:
+                columns = part.force.shape[1]
+                raise ModelError(f"forcing.{key}", f"has {columns} columns; expected {n}")
         frequency = finite("forcing.harmonics.frequency", self.frequency, (h,), "a list")
-        for k in np.flatnonzero(frequency <= 0):
-            raise ModelError(
-                f"forcing.harmonics[{k}].frequency",
-                f"is {frequency[k]:g}; expected a positive number, rad/s",
-            )
+        if np.any(frequency <= 0):
+            problem = f"is {np.min(frequency):g}; expected positive numbers, rad/s"
+            raise ModelError("forcing.harmonics.frequency", problem)
+        rows = f"{h} rows, one a frequency, of {n} numbers"
         return Forcing(
-            finite("forcing.constant", self.constant, (n,), f"{n} numbers, one a coordinate"),
+            finite("forcing.constant", self.constant, (n,), wanted),
             frequency,
-            _checked("cosine", self.cosine, h, n),
-            _checked("sine", self.sine, h, n),
+            finite("forcing.harmonics.cosine", self.cosine, (h, n), rows),
+            finite("forcing.harmonics.sine", self.sine, (h, n), rows),
             self.sampled,
             self.squares,
         )
@@ -222,11 +218,10 @@ def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Ve
 
     A cubic is nowhere larger than the sum of the sizes of its terms at the end of its interval.
     """
-    assert samples.jets is not None, "derived"
 
     def bounded(k: int, t: Vector) -> Vector:
         j = samples.index(t)
-        if k >= JETS or samples.jets is None:
+        if k >= JETS:
             return np.zeros(t.shape)
         last = samples.time.size - 1
         after = np.minimum(j + 1, last)
@@ -241,13 +236,3 @@ def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Ve
         return np.asarray(total)
 
     return bounded
-
-
-def _checked(part: str, rows: Iterable[ArrayLike], h: int, n: int) -> Matrix:
-    checked = [
-        finite(f"forcing.harmonics[{k}].{part}", row, (n,), f"{n} numbers, one a coordinate")
-        for k, row in enumerate(rows)
-    ]
-    if len(checked) != h:
-        raise ModelError("forcing.harmonics", f"{len(checked)} rows of {part} for {h} frequencies")
-    return frozen(np.reshape(checked, (h, n)))

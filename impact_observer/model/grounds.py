@@ -40,8 +40,6 @@ _UNSOLVED = 1e-9
 """Largest motion of a stop after the shift that counts as rounding, relative to the largest."""
 _DIGITS = 12
 """Decimals to which a shift is rounded, if the rounded shift is exact."""
-_SAME = 1e-9
-"""Largest difference of two forcings that counts as rounding, relative to the largest force."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,21 +150,6 @@ class MovingFrame:
             ``(E s, E ds/dt)``, shape (samples, 2n).
         """
         return np.hstack([each @ self.shift.T for each in self.displacements(ns)])
-
-    def check(self, forcing: Forcing, M: Matrix, C: Matrix, K: Matrix) -> None:
-        """Check that ``forcing`` is ``total``.
-
-        Raises:
-            ModelError: ``forcing`` differs from ``total``.
-        """
-        total = self.total(M, C, K)
-        for name in ("constant", "frequency", "cosine", "sine"):
-            one, other = getattr(forcing, name), getattr(total, name)
-            most = _SAME * np.max(np.abs(other), initial=0.0)
-            if one.shape != other.shape or np.any(np.abs(one - other) > most):
-                raise ModelError(
-                    "grounds", "are of another system; make the system by moving_system"
-                )
 
 
 def motion_of(k: int, harmonics: Sequence[tuple[int, float, float, float]]) -> Forcing:

@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A linear model in its file: elements to matrices, matrices to a ``System``, and back.
+"""A linear model in its file: elements or matrices to a ``System``, and a ``System`` to matrices.
 
 Bodies and moving grounds are the axes of one space, in which each spring and each stop is a row.
-``matrices_of`` assembles the elements to the keys of the matrix form, so that ``system_of`` is
-the only place where a system is made.
+Where a number of a parameter is read, its place in the file is noted.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
 import scipy
-from msgspec import UnsetType
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Value, check_names, matrix, vector
+from impact_observer.model.document import Value, check_names, finite, vector
 from impact_observer.model.files_beside import (
     TIME,
     load_matrix,
@@ -28,108 +28,335 @@ from impact_observer.model.files_beside import (
 from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import Grounds, LiveNames, motion_of
+from impact_observer.model.parameters_in_file import ParameterPlace, Place, key_of
 from impact_observer.model.rebounds import read_rebound
 from impact_observer.model.schema import (
     ElementModel,
     Force,
-    ForcingKeys,
-    GroundFactor,
-    GroundForces,
-    Harmonic,
-    LiveForce,
+    Ground,
     MatrixContact,
     MatrixModel,
-    Row,
+    Rate,
     SampledForces,
     SmoothForcing,
-    Square,
     StopKeys,
     TableKeys,
+    Wave,
 )
 from impact_observer.model.square_waves import SquareWaves
 from impact_observer.model.system import (
+    UNITS,
     UNKNOWN_UNIT,
     Contact,
     Element,
     System,
     moving_system,
 )
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix, Vector, frozen
 
 GROUND = "ground"
 """The name of what is at rest, in springs and stops."""
+T = TypeVar("T")
 _DISPLACEMENT = "displacement"
 """The column of a ground's table."""
+_Axes: TypeAlias = Mapping[str, Vector]
+"""Rows by the names of bodies or grounds."""
+_ByKind: TypeAlias = Mapping[str, Matrix]
+"""Matrices of masses, springs and dampers by ``mass``, ``stiffness`` and ``damping``."""
+_Waves: TypeAlias = list[tuple[float, Vector, Vector]]
+"""Frequency, cosine and sine, shape (n,) each, of harmonics."""
+_Rows: TypeAlias = list[tuple[float, float, Vector]]
+"""Frequency, phase and force, shape (n,), of square waves."""
 
 
-def system_of(model: MatrixModel, folder: Path | None) -> System:
-    """The system in a model file of matrices; ``folder`` is where its other files lie.
+class LinearFile:
+    """A linear model as its file has it, in either form.
+
+    Attributes:
+        system: the system.
+        elements: masses, springs and dampers; empty for matrices.
+        places: of the parameters that are single numbers in the file.
 
     Raises:
         ModelError: a value is wrong; the error names the key and the expected value.
     """
-    names, n, given = tuple(model.coordinates), len(model.coordinates), model.forcing
 
-    def read(key: str) -> Matrix:
-        value: Sequence[Sequence[float]] | str = getattr(model, key)
-        return (
-            load_matrix(key, value, folder)
-            if isinstance(value, str)
-            else matrix(key, value, (n, n))
+    system: System
+
+    def __init__(self, model: ElementModel | MatrixModel, folder: Path | None) -> None:
+        """Read a ``model``; ``folder`` is where its other files lie."""
+        self.elements, self.places = list[Element](), list[ParameterPlace]()
+        self._model, self._folder = model, folder
+        self._contacts, self._moved = list[Contact](), list[Vector]()
+        self._inputs = dict[str, Vector]()
+        if isinstance(model, MatrixModel):
+            self._read_matrices(model)
+            return
+        try:
+            self._read_elements(model)
+        except ModelError as error:
+            raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
+
+    def _read_matrices(self, model: MatrixModel) -> None:
+        names, n, given = model.coordinates, len(model.coordinates), model.forcing
+        matrices = {
+            key: load_matrix(key, value, self._folder, (n, n))
+            if isinstance(value := getattr(model, key), str)
+            else finite(key, value, (n, n), f"{n} rows of {n} numbers")
+            for key in ("mass", "damping", "stiffness")
+        }
+        if given.constant is not None:
+            for i, name in enumerate(names):
+                self._note(f"constant-force.{name}", ("forcing", "constant", i))
+        for k, wave in enumerate(given.harmonics):
+            self._note_frequency(f"forcing-frequency.{k + 1}", ("forcing", "harmonics", k), wave)
+        squares = [
+            (each.omega, each.phase, vector(f"{key}.amplitude", each.amplitude, n))
+            for key, each in _keyed("forcing.squares", given.squares)
+        ]
+        forcing = replace(
+            smooth_forcing(given, names, self._folder),
+            squares=SquareWaves.of_rows(squares) if squares else None,
+        )
+        axes = _axes([ground.name for ground in model.grounds])
+        by_ground = {kind: np.zeros((n, len(axes))) for kind in ("stiffness", "damping")}
+        for key, each in _keyed("forcing.grounds", given.grounds):
+            axis = _row(axes, f"{key}.name", each.name)
+            for kind in by_ground:
+                of_kind = vector(f"{key}.{kind}", getattr(each, kind), n)
+                by_ground[kind] += np.outer(of_kind, axis)
+        for i, (key, contact) in enumerate(_keyed("contacts", model.contacts)):
+            moved = np.zeros(len(axes))
+            for part_key, part in _keyed(f"{key}.motion", contact.motion):
+                moved += part.factor * _row(axes, f"{part_key}.ground", part.ground)
+            direction = vector(f"{key}.direction", contact.direction, n)
+            self._add_contact(("contacts", i), contact, direction, contact.gap, moved)
+            self._note(f"gap.{contact.name}", ("contacts", i, "gap"))
+        for key, live in _keyed("forcing.inputs", given.inputs):
+            self._add_input(live.name, vector(f"{key}.direction", live.direction, n))
+        self._assemble(names, matrices, forcing, by_ground)
+
+    def _read_elements(self, model: ElementModel) -> None:
+        names, moving = ([each.name for each in given] for given in (model.bodies, model.grounds))
+        check_names("bodies", names, member=".name", taken=(GROUND,))
+        check_names("grounds", moving, member=".name", taken=(*names, GROUND))
+        n, bodies = len(names), _axes([*names, *moving])
+        grounds = {GROUND: np.zeros(len(bodies)), **{name: bodies.pop(name) for name in moving}}
+        axes = {**bodies, **grounds}
+        by_ground = {kind: np.zeros((n, len(moving))) for kind in ("stiffness", "damping")}
+        for i, (body, row) in enumerate(zip(model.bodies, np.eye(n), strict=True)):
+            self._add_element("mass", body.name, body.mass, row, ("bodies", i))
+        labels = _labels(spring.between for spring in model.springs)
+        for i, (label, spring) in enumerate(zip(labels, model.springs, strict=True)):
+            row = _across(axes, f"springs[{i}].between", spring.between)
+            for kind in by_ground:
+                if (value := getattr(spring, kind)) is not None:
+                    self._add_element(kind, label, value, row[:n], ("springs", i))
+                    by_ground[kind] -= value * np.outer(row[:n], row[n:])
+        for i, (key, stop) in enumerate(_keyed("stops", model.stops)):
+            if stop.between is not None:
+                row, number, slope = _across(axes, f"{key}.between", stop.between), "gap", 1.0
+            else:
+                own = _row(bodies, f"{key}.body", str(stop.body))
+                ground = _row(grounds, f"{key}.ground", stop.ground or GROUND)
+                number, slope = "limit", 1.0 if stop.side == "above" else -1.0
+                row = slope * (ground - own)
+            gap = slope * getattr(stop, number)
+            self._add_contact(("stops", i), stop, row[:n], gap, row[n:])
+            self._note(f"gap.{stop.name}", ("stops", i, number), slope)
+        total = {kind: np.zeros((n, n)) for kind in ("mass", "damping", "stiffness")}
+        for each in self.elements:
+            total[each.kind] += each.value * each.matrix
+        self.elements = [each for each in self.elements if each.value]
+        forcing = self._sum_of_forces(model, {name: axis[:n] for name, axis in bodies.items()})
+        self._assemble(names, total, forcing, by_ground)
+
+    def _sum_of_forces(self, model: ElementModel, bodies: _Axes) -> Forcing:
+        """The sum of all forces on the bodies, live ones apart."""
+        constant, waves, squares = np.zeros(len(bodies)), _Waves(), _Rows()
+        constants = list[tuple[Place, str, float]]()
+        for i, (key, force) in enumerate(_keyed("forces", model.forces)):
+            path: Place = ("forces", i)
+            e, phase = _row(bodies, f"{key}.body", force.body), force.phase or 0.0
+            if force.input is not None:
+                self._add_input(force.input, e)
+            elif force.constant is not None:
+                constant += force.constant * e
+                constants.append(((*path, "constant"), force.body, force.constant))
+            else:
+                size, omega = force.amplitude or 0.0, force.omega
+                if force.shape is not None:
+                    squares.append((omega, phase, size * e))
+                    continue
+                waves.append((omega, size * np.cos(phase) * e, -size * np.sin(phase) * e))
+                self._note_wave(f"forcing.{len(waves)}", path, force)
+        total = dict(zip(bodies, constant.tolist(), strict=True))
+        for path, name, value in constants:  # the others on the same body stay
+            self._note(f"constant-force.{name}", path, 1.0, value - total[name])
+        sampled = _read_samples(model.forcing, [*bodies], self._folder)
+        return replace(
+            _forcing(constant, waves, sampled),
+            squares=SquareWaves.of_rows(squares) if squares else None,
         )
 
-    M, C, K = (read(key) for key in ("mass", "damping", "stiffness"))
-    squares = [
-        (each.omega(key), each.phase, vector(f"{key}.amplitude", each.amplitude, n))
-        for key, each in _keyed("forcing.squares", given.squares)
-    ]
-    forcing = replace(
-        smooth_forcing(given, names, folder),
-        squares=SquareWaves.of_rows(squares) if squares else None,
-    )
-    contacts = tuple(_contact(key, each, n) for key, each in _keyed("contacts", model.contacts))
-    system = System(model.name, names, M, C, K, forcing, contacts)
-    if model.grounds:
-        system = moving_system(system, _grounds(model, n, folder))
-    elif given.grounds or any(each.motion for each in model.contacts):
-        raise ModelError("grounds", "is missing or empty; expected the grounds that are named")
-    inputs = {each.name: np.zeros(n) for each in given.inputs}
-    for key, force in _keyed("forcing.inputs", given.inputs):
-        inputs[force.name] += vector(f"{key}.direction", force.direction, n)
-    live = LiveNames(tuple(inputs), np.column_stack([*inputs.values()])) if inputs else None
-    return replace(system, live=live)
+    def _note(self, name: str, path: Place, slope: float = 1.0, offset: float = 0.0) -> None:
+        """Note where the number of a parameter stands."""
+        self.places.append(ParameterPlace(name, path, slope, offset))
+
+    def _note_frequency(self, name: str, path: Place, wave: Rate) -> None:
+        """Note a frequency in rad/s, which may stand there in Hz."""
+        is_hertz = wave.hertz is not None
+        key, slope = ("hertz", 1.0 / math.tau) if is_hertz else ("frequency", 1.0)
+        self._note(name, (*path, key), slope)
+
+    def _note_wave(self, name: str, path: Place, wave: Force | Wave) -> None:
+        """Note the three numbers of a ``wave`` with a ``name`` such as ``forcing.1``."""
+        kind, _, label = name.partition(".")
+        self._note(f"{kind}-amplitude.{label}", (*path, "amplitude"), wave.amplitude or 0.0)
+        self._note(f"{kind}-phase.{label}", (*path, "phase"), 1.0, wave.phase or 0.0)
+        self._note_frequency(f"{kind}-frequency.{label}", path, wave)
+
+    def _add_element(self, kind: str, label: str, value: float, row: Vector, path: Place) -> None:
+        self.elements.append(Element(kind, label, value, row))
+        self._note(f"{kind}.{label}", (*path, kind), 1.0 if value else 0.0)  # 0 is no parameter
+
+    def _add_input(self, name: str, direction: Vector) -> None:
+        self._inputs[name] = self._inputs.get(name, 0.0) + direction
+
+    def _add_contact(
+        self,
+        path: Place,
+        contact: StopKeys | MatrixContact,
+        direction: Vector,
+        gap: float,
+        moved: Vector,
+    ) -> None:
+        """Add a contact, which the displacements of grounds move by the factors ``moved``."""
+        law = read_rebound(f"{key_of(path)}.restitution", contact.restitution)
+        self._contacts.append(Contact(contact.name, direction, gap, law.nominal, law))
+        self._moved.append(moved)
+        for each in law.parameters:
+            self._note(f"{each.kind}.{contact.name}", (*path, *each.place))
+
+    def _assemble(
+        self, names: Sequence[str], matrices: _ByKind, forcing: Forcing, by_ground: _ByKind
+    ) -> None:
+        """Make the system of all parts.
+
+        Args:
+            names: of the coordinates.
+            matrices: of masses, dampers and springs, shape (n, n).
+            forcing: without the effects of grounds and live forces.
+            by_ground: dampers and springs on grounds, shape (n, k).
+        """
+        inputs, model = self._inputs, self._model
+        usual = UNITS[0] if isinstance(model, ElementModel) else UNKNOWN_UNIT
+        self.system = System(
+            name=model.name,
+            coordinates=tuple(names),
+            M=matrices["mass"],
+            C=matrices["damping"],
+            K=matrices["stiffness"],
+            forcing=forcing,
+            contacts=tuple(self._contacts),
+            live=LiveNames(tuple(inputs), np.column_stack([*inputs.values()])) if inputs else None,
+            unit=model.unit or usual,
+        )
+        if model.grounds:
+            self.system = moving_system(self.system, self._grounds(model.grounds, by_ground))
+
+    def _grounds(self, given: Sequence[Ground], by_ground: _ByKind) -> Grounds:
+        """The moving grounds, and what they do to bodies and contacts."""
+        names, one = tuple(each.name for each in given), np.eye(len(given))
+        check_names("grounds", names, member=".name")
+        harmonics = list[tuple[int, float, float, float]]()
+        written, motion = list[dict[str, Any]](), Forcing.none(len(names))
+        for k, (key, ground) in enumerate(_keyed("grounds", given)):
+            waves, table = ground.motion.harmonics, ground.motion.sampled
+            written.append(msgspec.to_builtins(ground))
+            for i, wave in enumerate(waves or ()):
+                harmonics.append((k, wave.amplitude, wave.omega, wave.phase))
+                path = ("grounds", k, "motion", "harmonics", i)
+                self._note_wave(f"ground.{ground.name}.{i + 1}", path, wave)
+            if table is not None:
+                rows = read_table(f"{key}.motion.sampled", table, (_DISPLACEMENT,), self._folder)
+                spline = _clamped(f"{key}.motion.sampled", rows).mapped(one[:, [k]])
+                motion = motion.added(Forcing.of_samples(spline))
+                written[k]["motion"]["sampled"] = table_text(rows, (_DISPLACEMENT,))
+        return Grounds(
+            names=names,
+            motion=motion_of(len(names), harmonics).added(motion),
+            owner=tuple(each[0] for each in harmonics),
+            stiffness=by_ground["stiffness"],
+            damping=by_ground["damping"],
+            factors=frozen(np.reshape(self._moved, (len(self._contacts), len(names)))),
+            written=tuple(written),
+        )
 
 
-def _keyed(key: str, members: Sequence[Any]) -> Iterator[tuple[str, Any]]:
+def _keyed(key: str, members: Sequence[T]) -> Iterator[tuple[str, T]]:
     """Each of the ``members`` of a list in a model file, with its key."""
     return ((f"{key}[{i}]", each) for i, each in enumerate(members))
 
 
-def _contact(key: str, contact: MatrixContact, n: int) -> Contact:
-    law = read_rebound(f"{key}.restitution", contact.restitution)
-    direction = vector(f"{key}.direction", contact.direction, n)
-    return Contact(contact.name, direction, contact.gap, law.nominal, law)
+def _axes(names: Sequence[str]) -> dict[str, Vector]:
+    """The axis of each name, shape (names,)."""
+    return dict(zip(names, np.eye(len(names)), strict=True))
+
+
+def _row(axes: _Axes, key: str, name: str) -> Vector:
+    """The row of a ``name`` at a ``key`` of the file."""
+    if name not in axes:
+        raise ModelError(key, f"{name!r} found; expected one of {', '.join(axes) or 'none'}")
+    return axes[name]
+
+
+def _across(axes: _Axes, key: str, ends: tuple[str, str]) -> Vector:
+    """``q_b - q_a`` of two ends [a, b] as a row, shape (n + k,)."""
+    if ends[0] == ends[1]:
+        raise ModelError(key, f"{list(ends)} found; expected two different bodies [a, b]")
+    return _row(axes, f"{key}[1]", ends[1]) - _row(axes, f"{key}[0]", ends[0])
+
+
+def _labels(pairs: Iterable[Sequence[str]]) -> Iterator[str]:
+    """Names of springs by their two ends; a second spring between the same ends ends in ``#2``."""
+    counts = Counter[str]()
+    for label in map("-".join, pairs):
+        counts[label] += 1
+        yield label if counts[label] == 1 else f"{label}#{counts[label]}"
 
 
 def smooth_forcing(
-    given: SmoothForcing, coordinates: Sequence[str], folder: Path | None, meaning: str = ""
+    given: SmoothForcing, coordinates: Sequence[str], folder: Path | None
 ) -> Forcing:
     """Constants, harmonics and samples of the forcing of ``coordinates``.
 
-    CSV files lie in ``folder``; ``meaning`` is that of ``vector``.
+    CSV files lie in ``folder``.
 
     Raises:
         ModelError: a value is wrong; the error names the key and the expected value.
     """
-    n, waves = len(coordinates), [*_keyed("forcing.harmonics", given.harmonics)]
-    cosine = [vector(f"{key}.cosine", each.cosine, n, meaning) for key, each in waves]
-    sine = [vector(f"{key}.sine", each.sine, n, meaning) for key, each in waves]
+    n = len(coordinates)
+    waves = [
+        (
+            each.omega,
+            vector(f"{key}.cosine", each.cosine, n),
+            vector(f"{key}.sine", each.sine, n),
+        )
+        for key, each in _keyed("forcing.harmonics", given.harmonics)
+    ]
+    constant = vector("forcing.constant", given.constant, n)
+    return _forcing(constant, waves, _read_samples(given, coordinates, folder))
+
+
+def _forcing(constant: Vector, waves: _Waves, sampled: Samples | None) -> Forcing:
+    shape = len(waves), constant.size
     return Forcing(
-        constant=vector("forcing.constant", given.constant, n, meaning),
-        frequency=np.array([each.omega(key) for key, each in waves]),
-        cosine=np.reshape(cosine, (len(waves), n)),
-        sine=np.reshape(sine, (len(waves), n)),
-        sampled=_read_samples(given, coordinates, folder),
+        constant=constant,
+        frequency=np.array([omega for omega, _, _ in waves]),
+        cosine=np.reshape([cosine for _, cosine, _ in waves], shape),
+        sine=np.reshape([sine for _, _, sine in waves], shape),
+        sampled=sampled,
     )
 
 
@@ -138,66 +365,19 @@ def _read_samples(
 ) -> Samples | None:
     """The samples of the key ``forcing``, in the order of ``coordinates``; None without any."""
     given, hold, key = forcing.sampled, forcing.hold, "forcing.sampled"
-    if isinstance(given, UnsetType):
-        if not isinstance(hold, UnsetType):
-            raise ModelError("forcing.hold", "stands without sampled")
+    if given is None:
         return None
-    if isinstance(hold, UnsetType):
-        raise ModelError("forcing.hold", "is missing; expected previous or linear")
+    assert hold is not None, "checked by the schema"
     if isinstance(given, TableKeys):
-        shape = len(given.time), len(coordinates)
-        return Samples(np.array(given.time), matrix(f"{key}.force", given.force, shape), hold)
+        shape = rows, columns = len(given.time), len(coordinates)
+        wanted = f"{rows} rows, one an instant, of {columns} numbers"
+        force = finite(f"{key}.force", given.force, shape, wanted)
+        return Samples(np.array(given.time), force, hold)
     table = read_table(key, given, coordinates, folder)
     try:
         return Samples(table[:, 0], table[:, 1:], hold)
     except ModelError as error:
         raise ModelError(key, f"{table_in(given)}: {error.problem}") from None
-
-
-def _grounds(model: MatrixModel, n: int, folder: Path | None) -> Grounds:
-    """The moving grounds of a model of ``n`` coordinates, and what they do to it."""
-    names = tuple(each.name for each in model.grounds)
-    check_names("grounds", names, member=".name")
-
-    def index(key: str, name: str) -> int:
-        if name not in names:
-            raise ModelError(key, f"{name!r} is not a ground; expected {', '.join(names)}")
-        return names.index(name)
-
-    harmonics: list[tuple[int, float, float, float]] = []
-    written: list[dict[str, Any]] = []
-    motion = Forcing.none(len(names))
-    for k, (key, ground) in enumerate(_keyed("grounds", model.grounds)):
-        waves, table = ground.motion.harmonics, ground.motion.sampled
-        written.append(msgspec.to_builtins(ground))
-        if isinstance(waves, UnsetType) == isinstance(table, UnsetType):
-            raise ModelError(f"{key}.motion", "expected one of harmonics, sampled")
-        if isinstance(table, UnsetType):
-            for place, wave in _keyed(f"{key}.motion.harmonics", waves):
-                harmonics.append((k, wave.amplitude, wave.omega(place), wave.phase))
-        else:
-            rows = read_table(f"{key}.motion.sampled", table, (_DISPLACEMENT,), folder)
-            spline = _clamped(f"{key}.motion.sampled", rows)
-            motion = motion.added(Forcing.of_samples(spline.mapped(np.eye(len(names))[:, [k]])))
-            written[k]["motion"]["sampled"] = table_text(rows, (_DISPLACEMENT,))
-    stiffness, damping = np.zeros((2, n, len(names)))
-    for key, force in _keyed("forcing.grounds", model.forcing.grounds):
-        k = index(f"{key}.name", force.name)
-        stiffness[:, k] += vector(f"{key}.stiffness", force.stiffness, n)
-        damping[:, k] += vector(f"{key}.damping", force.damping, n)
-    factors = np.zeros((len(model.contacts), len(names)))
-    for i, contact in enumerate(model.contacts):
-        for key, part in _keyed(f"contacts[{i}].motion", contact.motion):
-            factors[i, index(f"{key}.ground", part.ground)] += part.factor
-    return Grounds(
-        names=names,
-        motion=motion_of(len(names), harmonics).added(motion),
-        owner=tuple(each[0] for each in harmonics),
-        stiffness=stiffness,
-        damping=damping,
-        factors=factors,
-        written=tuple(written),
-    )
 
 
 def _clamped(key: str, table: Matrix) -> Samples:
@@ -217,197 +397,15 @@ def _clamped(key: str, table: Matrix) -> Samples:
     return Samples.of_jets(time, jets)
 
 
-class _Line:
-    """The axes of n named bodies and k moving grounds; ``ground`` is at rest and has none."""
-
-    def __init__(self, model: ElementModel) -> None:
-        """Name the bodies and the grounds of a ``model``."""
-        self.bodies = [body.name for body in model.bodies]
-        self.moving = [ground.name for ground in model.grounds]
-        check_names("bodies", self.bodies, member=".name", taken=(GROUND,))
-        check_names("grounds", self.moving, member=".name", taken=(*self.bodies, GROUND))
-        self.n, names = len(self.bodies), (*self.bodies, *self.moving)
-        self._axes = dict(zip(names, np.eye(len(names)), strict=True))
-        self._axes[GROUND] = np.zeros(len(names))
-
-    def axis(self, key: str, name: str) -> Vector:
-        """The axis of a body or a ground, shape (n + k,)."""
-        if name not in self._axes:
-            wanted = ", ".join((*self.bodies, GROUND, *self.moving))
-            raise ModelError(key, f"{name!r} is not a body; expected one of {wanted}")
-        return self._axes[name]
-
-    def body(self, key: str, name: str) -> Vector:
-        """The axis of a body, shape (n + k,)."""
-        axis = self.axis(key, name)
-        if name not in self.bodies:
-            raise ModelError(key, "is the ground, which does not move; expected a body")
-        return axis
-
-    def ground(self, key: str, name: str) -> Vector:
-        """The axis of a ground, shape (n + k,)."""
-        wanted = [GROUND, *self.moving]
-        if name not in wanted:
-            raise ModelError(key, f"{name!r} is not a ground; expected one of {', '.join(wanted)}")
-        return self._axes[name]
-
-    def across(self, key: str, ends: Sequence[str]) -> Vector:
-        """``q_b - q_a`` of two ends [a, b] as a row, shape (n + k,)."""
-        if ends[0] == ends[1]:
-            raise ModelError(key, f"{list(ends)} found; expected two different bodies [a, b]")
-        return self.axis(f"{key}[1]", ends[1]) - self.axis(f"{key}[0]", ends[0])
-
-
-def matrices_of(model: ElementModel) -> tuple[MatrixModel, tuple[Element, ...]]:
-    """The matrix form of a model of elements, and its masses, springs and dampers.
-
-    Raises:
-        ModelError: naming the element's key.
-    """
-    line = _Line(model)
-    n, k = line.n, len(line.moving)
-    elements = [
-        Element("mass", body.name, body.mass, axis)
-        for body, axis in zip(model.bodies, np.eye(n), strict=True)
-    ]
-    by_ground = {"stiffness": np.zeros((n, k)), "damping": np.zeros((n, k))}
-    springs_by_label = zip(
-        labels(spring.between for spring in model.springs),
-        _keyed("springs", model.springs),
-        strict=True,
-    )
-    for label, (key, spring) in springs_by_label:
-        row = line.across(f"{key}.between", spring.between)
-        for kind in by_ground:
-            if not isinstance(value := getattr(spring, kind), UnsetType):
-                elements.append(Element(kind, label, value, row[:n]))
-                by_ground[kind] -= value * np.outer(row[:n], row[n:])
-    total = {kind: np.zeros((n, n)) for kind in ("mass", "stiffness", "damping")}
-    for each in elements:
-        total[each.kind] += each.value * each.matrix
-    sampled = SampledForces() if isinstance(model.forcing, UnsetType) else model.forcing
-    if sampled is model.forcing and isinstance(sampled.sampled, UnsetType):
-        raise ModelError("forcing.sampled", "is missing")
-    grounds = tuple(
-        GroundForces(name, *(part[:, i].tolist() for part in by_ground.values()))
-        for i, name in enumerate(line.moving)
-    )
-    matrices = MatrixModel(
-        name=model.name,
-        grounds=model.grounds,
-        coordinates=tuple(line.bodies),
-        mass=_as_rows(total["mass"]),
-        damping=_as_rows(total["damping"]),
-        stiffness=_as_rows(total["stiffness"]),
-        contacts=tuple(_stop(line, key, stop) for key, stop in _keyed("stops", model.stops)),
-        forcing=_summed(line, model.forces, sampled, grounds),
-    )
-    return matrices, tuple(each for each in elements if each.value)
-
-
-def _as_rows(values: Matrix) -> tuple[Row, ...]:
-    return tuple(map(tuple, values.tolist()))
-
-
-def labels(pairs: Iterable[Sequence[str]]) -> Iterator[str]:
-    """Names of springs by their two ends; a second spring between the same ends ends in ``#2``."""
-    counts = dict[str, int]()
-    for pair in pairs:
-        label = "-".join(pair)
-        counts[label] = counts.get(label, 0) + 1
-        yield label if counts[label] == 1 else f"{label}#{counts[label]}"
-
-
-def _summed(
-    line: _Line,
-    forces: Sequence[Force],
-    sampled: SampledForces,
-    grounds: tuple[GroundForces, ...],
-) -> ForcingKeys:
-    """The sum of all forces on the bodies."""
-    constant = np.zeros(line.n)
-    harmonics, squares, inputs = list[Harmonic](), list[Square](), list[LiveForce]()
-    for key, force in _keyed("forces", forces):
-        e = line.body(f"{key}.body", force.body)[: line.n]
-        phase = 0.0 if isinstance(force.phase, UnsetType) else force.phase
-        if not isinstance(force.input, UnsetType):
-            _check_alone(key, force, "input")
-            inputs.append(LiveForce(force.input, e.tolist()))
-        elif not isinstance(force.constant, UnsetType):
-            _check_alone(key, force, "constant")
-            constant += force.constant * e
-        elif isinstance(force.amplitude, UnsetType):
-            raise ModelError(f"{key}.amplitude", "is missing; expected it, constant or input")
-        elif force.shape == "square":
-            amplitude = (force.amplitude * e).tolist()
-            squares.append(Square(frequency=force.omega(key), phase=phase, amplitude=amplitude))
-        else:
-            cosine = (force.amplitude * np.cos(phase) * e).tolist()
-            sine = (-force.amplitude * np.sin(phase) * e).tolist()
-            harmonics.append(Harmonic(frequency=force.omega(key), cosine=cosine, sine=sine))
-    return ForcingKeys(
-        sampled=sampled.sampled,
-        hold=sampled.hold,
-        constant=constant.tolist(),
-        harmonics=tuple(harmonics),
-        squares=tuple(squares),
-        grounds=grounds,
-        inputs=tuple(inputs),
-    )
-
-
-def _check_alone(key: str, force: Force, kind: str) -> None:
-    """Raise ModelError if other keys of a force stand beside the one of its ``kind``."""
-    for name in force.__struct_fields__:
-        if name not in ("body", kind) and not isinstance(getattr(force, name), UnsetType):
-            raise ModelError(f"{key}.{name}", f"stands beside {kind}; write two forces instead")
-
-
-def _stop(line: _Line, key: str, stop: StopKeys) -> MatrixContact:
-    """A stop as a contact, ``g = row . (q, s) + gap``."""
-    if not isinstance(stop.between, UnsetType):
-        _check_keys(key, stop, ("between", "gap"))
-        row = line.across(f"{key}.between", stop.between)
-        assert not isinstance(stop.gap, UnsetType), "checked"
-        gap = stop.gap
-    else:
-        _check_keys(key, stop, ("body", "limit", "side"), optional="ground")
-        sign = -1.0 if stop.side == "above" else 1.0
-        row = sign * line.body(f"{key}.body", str(stop.body))
-        assert not isinstance(stop.limit, UnsetType), "checked"
-        gap = -sign * stop.limit
-        if not isinstance(stop.ground, UnsetType):
-            row = row - sign * line.ground(f"{key}.ground", stop.ground)
-    factors = zip(line.moving, row[line.n :].tolist(), strict=True)
-    return MatrixContact(
-        name=stop.name,
-        direction=row[: line.n].tolist(),
-        gap=gap,
-        restitution=stop.restitution,
-        motion=tuple(GroundFactor(ground, factor) for ground, factor in factors if factor),
-    )
-
-
-def _check_keys(key: str, stop: StopKeys, wanted: Sequence[str], optional: str = "") -> None:
-    """Raise ModelError unless a stop has the ``wanted`` keys of its form, and none of another."""
-    for name in ("body", "limit", "side", "ground", "gap"):
-        is_given = not isinstance(getattr(stop, name), UnsetType)
-        if name in wanted and not is_given:
-            raise ModelError(f"{key}.{name}", "is missing")
-        if is_given and name not in (*wanted, optional):
-            raise ModelError(f"{key}.{name}", f"does not go with {wanted[0]}")
-
-
 def matrix_form(system: System) -> dict[str, Value]:
-    """The keys of a model file from which ``system_of`` makes ``system``."""
+    """The keys of a model file from which a ``LinearFile`` makes ``system``."""
     grounds = None if system.frame is None else system.frame.grounds
-    contacts = list[dict[str, Value]]()
-    for i, contact in enumerate(system.contacts):
-        own = {"name": contact.name, "direction": contact.direction.tolist(), "gap": contact.gap}
-        contacts.append({**own, **system.rebounds[i].document})
+    contacts = _rows(system.contact_names, direction=system.W.T, gap=system.q_r)
+    for i, contact in enumerate(contacts):
+        contact["restitution"] = system.rebounds[i].written
         if grounds is not None:
             moving = zip(grounds.names, grounds.factors[i].tolist(), strict=True)
-            contacts[-1]["motion"] = [{"ground": g, "factor": f} for g, f in moving if f]
+            contact["motion"] = [{"ground": g, "factor": f} for g, f in moving if f]
     form: dict[str, Value] = {
         "coordinates": list(system.coordinates),
         "mass": system.M.tolist(),

@@ -83,7 +83,7 @@ class LiveSamples(Samples):
         """
         n = drives.size
         time, jets = np.array([NEVER * _NS, 0.0]), np.zeros((JETS, 2, n))
-        if base is not None and base.jets is not None:
+        if base is not None:
             time, jets = base.time, base.jets
         super().__init__(time, jets[0], "cubic", jets)
         used = drives if base is None else drives | base.drives

@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensors that measure a linear function of the state, and the file that declares them."""
 
-import dataclasses
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import Meta
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.message_fields import FieldPath, parse_path
-from impact_observer.model.document import Keys, Name, NotNegative, Number, Positive, converted
+from impact_observer.model.document import (
+    Keys,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    check_names,
+    converted,
+)
 from impact_observer.model.multibody import Multibody
 from impact_observer.model.yaml_text import load_yaml
 from impact_observer.resources import read_file_or_sample
@@ -23,39 +29,22 @@ MOST = 1000
 _MANY_REJECTED = 0.1
 """Share of rejected samples of a doubtful sensor."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-Coefficients: TypeAlias = tuple[tuple[str, float], ...]
-"""Names of coordinates, each with a number."""
+Coefficients: TypeAlias = dict[str, Number]
+"""Numbers by the names of coordinates."""
 _Short = Annotated[float, Meta(ge=0.0, le=10.0)]
 """A time, s, up to the longest ``history`` of an observer."""
 
 
-class _SensorKeys(Keys, frozen=True, kw_only=True):
-    """The keys of a sensor in a file; what they mean says ``Measurement``."""
+class _Source(Keys, frozen=True):
+    """Where the numbers of a sensor come from."""
 
     name: Name
     topic: Name
     joint: Name = ""
-    quantity: Name = ""
-    field: Name = ""
-    position: dict[str, Number] | UnsetType = UNSET
-    velocity: dict[str, Number] | UnsetType = UNSET
-    acceleration: dict[str, Number] | UnsetType = UNSET
-    gap: Name = ""
-    offset: Number = 0.0
-    deviation: NotNegative
-    delay: _Short = 0.0
-    blanking: _Short = 0.0
-    gate: Positive = 5.0
-    timeout: Positive = 1.0
-    stamp: Literal["header", "receive"] | None = None
+    quantity: Literal["", "position", "velocity"] = ""
 
 
-class _SensorFile(Keys, frozen=True, kw_only=True):
-    measurements: Annotated[tuple[_SensorKeys, ...], Meta(min_length=1, max_length=MOST)]
-
-
-@dataclass(frozen=True, slots=True)
-class Measurement:
+class Measurement(_Source, frozen=True, kw_only=True):
     """A sensor: ``y`` = a sum of coefficients times positions, velocities, ... + ``offset``.
 
     Attributes:
@@ -76,43 +65,32 @@ class Measurement:
         gate: largest normalised innovation of an accepted sample.
         timeout: longest time without a sample before a node warns, s.
         stamp: ``header`` or ``receive``; None for ``header`` if the message has a header.
-        origin: text before a key in errors, such as ``rig.yaml: measurements[0].``.
+        origin: text before a key in errors, such as ``rig.yaml: measurements[0].``; no key of a
+            file.
+
+    Raises:
+        ModelError: keys that do not go together.
     """
 
-    name: str
-    topic: str
-    joint: str = ""
-    quantity: str = ""
-    field: str = ""
-    position: Coefficients = ()
-    velocity: Coefficients = ()
-    acceleration: Coefficients = ()
-    gap: str = ""
-    offset: float = 0.0
-    deviation: float = dataclasses.field(kw_only=True)
-    delay: float = 0.0
-    blanking: float = 0.0
-    gate: float = 5.0
-    timeout: float = 1.0
-    stamp: str | None = None
-    origin: str = dataclasses.field(default="", compare=False, repr=False)
+    field: Name = ""
+    position: Coefficients = msgspec.field(default_factory=dict)
+    velocity: Coefficients = msgspec.field(default_factory=dict)
+    acceleration: Coefficients = msgspec.field(default_factory=dict)
+    gap: Name = ""
+    offset: Number = 0.0
+    deviation: NotNegative
+    delay: _Short = 0.0
+    blanking: _Short = 0.0
+    gate: Positive = 5.0
+    timeout: Positive = 1.0
+    stamp: Literal["header", "receive"] | None = None
+    origin: str = msgspec.field(default="", name="\xa0")
 
     def __post_init__(self) -> None:
-        """Check all fields that do not depend on the system."""
-        given = {
-            each.name: getattr(self, each.name)
-            for each in dataclasses.fields(self)
-            if each.name != "origin" and getattr(self, each.name) != each.default
-        }
-        given |= {kind: dict(given[kind]) for kind in KINDS if kind in given}
-        try:
-            converted(given, _SensorKeys)
-        except ModelError as error:
-            raise self.wrong(error.key, error.problem) from None
+        """Check what does not depend on the system."""
         if not _TOPIC.fullmatch(self.topic):
-            raise self.wrong(
-                "topic", f"{self.topic!r} found; expected a name such as /rig/encoder"
-            )
+            problem = f"{self.topic!r} found; expected a name such as /rig/encoder"
+            raise ModelError("topic", problem)
         self._check_source()
         self._check_function()
 
@@ -121,50 +99,50 @@ class Measurement:
         """The coordinate whose position alone it measures, and its coefficient; None if none."""
         if len(self.position) != 1 or self.velocity or self.acceleration:
             return None
-        return self.position[0]
+        return next(iter(self.position.items()))
 
     def _check_source(self) -> None:
-        """Raise UsageError unless exactly one of joint and field names the number of a message."""
+        """Raise ModelError unless exactly one of joint and field names the number of a message."""
         if bool(self.joint) == bool(self.field):
             pair = "both joint and field" if self.joint else "neither joint nor field"
-            raise self.wrong("field", f"{pair} found; expected one of them")
-        if self.field and self.quantity:
-            raise self.wrong("quantity", "does not go with field; leave it out")
-        if self.joint and self.quantity not in (POSITION, VELOCITY):
+            raise ModelError("field", f"{pair} found; expected one of them")
+        if bool(self.joint) != bool(self.quantity):
             found = self.quantity or "nothing"
-            raise self.wrong("quantity", f"{found} found; expected {POSITION} or {VELOCITY}")
+            wanted = f"{POSITION} or {VELOCITY} of a joint" if self.joint else "none beside field"
+            raise ModelError("quantity", f"{found} found; expected {wanted}")
         if self.field:
-            self.path()
+            try:
+                parse_path(self.field)
+            except ValueError as error:
+                raise ModelError("field", str(error)) from None
 
     def _check_function(self) -> None:
-        """Raise UsageError unless either coefficients or a gap are given."""
-        given = [kind for kind in KINDS if getattr(self, kind)]
-        if self.joint and not (given or self.gap):
-            object.__setattr__(self, self.quantity, ((self.joint, 1.0),))
-            given = [self.quantity]
-        if bool(given) == bool(self.gap):
-            kinds = f"{given[0]} and gap" if given else "no position, velocity, acceleration, gap"
+        """Raise ModelError unless either coefficients or a gap are given."""
+        if self.joint and not (self.given or self.gap):
+            msgspec.structs.force_setattr(self, self.quantity, {self.joint: 1.0})
+        if bool(self.given) == bool(self.gap):
+            kind = next(iter(self.given), POSITION)
+            kinds = f"{kind} and gap" if self.gap else "no position, velocity, acceleration, gap"
             wanted = "expected coefficients by coordinate, or the gap of a contact"
-            raise self.wrong(given[0] if given else POSITION, f"{kinds} found; {wanted}")
-        for kind in KINDS:
-            for coordinate, value in getattr(self, kind):
+            raise ModelError(kind, f"{kinds} found; {wanted}")
+        for kind, coefficients in self.given.items():
+            for coordinate, value in coefficients.items():
                 if not value:
-                    raise self.wrong(f"{kind}.{coordinate}", "0 found; expected another number")
+                    raise ModelError(f"{kind}.{coordinate}", "0 found; expected another number")
+
+    @property
+    def given(self) -> dict[str, Coefficients]:
+        """The coefficients of those of position, velocity and acceleration that it measures."""
+        parts = {kind: getattr(self, kind) for kind in KINDS}
+        return {kind: part for kind, part in parts.items() if part}
 
     def wrong(self, key: str, problem: str) -> UsageError:
         """The error that names the file, the ``key`` and the ``problem``."""
         return UsageError(" ".join(f"{self.origin}{key}: {problem}".split()))
 
     def path(self) -> FieldPath:
-        """The parts of ``field``.
-
-        Raises:
-            UsageError: ``field`` is not a valid path.
-        """
-        try:
-            return parse_path(self.field)
-        except ValueError as error:
-            raise self.wrong("field", str(error)) from None
+        """The parts of ``field``."""
+        return parse_path(self.field)
 
     def doubt(self, samples: int, rejected: int) -> str:
         """The warning that samples contradict impacts and model; empty where they do not.
@@ -186,8 +164,8 @@ class Measurement:
         Raises:
             UsageError: a name is unknown; the error names file and key.
         """
-        for kind in KINDS:
-            for coordinate, _ in getattr(self, kind):
+        for kind, coefficients in self.given.items():
+            for coordinate in coefficients:
                 if coordinate not in system.coordinates:
                     key = kind if coordinate != self.joint else "joint"
                     names = ", ".join(system.coordinates)
@@ -199,6 +177,10 @@ class Measurement:
             names = ", ".join(system.contact_names) or "none, as it has no contacts"
             problem = f"{self.gap!r} is no contact of {system.name}; expected one of {names}"
             raise self.wrong("gap", problem)
+
+
+class _SensorFile(Keys, frozen=True):
+    measurements: Annotated[tuple[Measurement, ...], Meta(min_length=1, max_length=MOST)]
 
 
 def read_measurements(path: str | Path | None) -> tuple[Measurement, ...]:
@@ -223,14 +205,11 @@ def parse_measurements(text: str, source: str) -> tuple[Measurement, ...]:
         UsageError: one line that names the source, the key and the expected value.
     """
     try:
-        given = converted(load_yaml(text), _SensorFile).measurements
+        sensors = converted(load_yaml(text), _SensorFile).measurements
+        check_names("measurements", [each.name for each in sensors], member=".name")
     except ModelError as error:
         raise UsageError(f"{source}: {error}") from None
-    sensors = []
-    for i, each in enumerate(given):
-        keys = msgspec.structs.asdict(each)
-        keys |= {kind: tuple((keys[kind] or {}).items()) for kind in KINDS}
-        sensors.append(Measurement(**keys, origin=f"{source}: measurements[{i}]."))
-        if each.name in [other.name for other in given[:i]]:
-            raise sensors[i].wrong("name", f"{each.name!r} is taken already; names must differ")
-    return tuple(sensors)
+    return tuple(
+        msgspec.structs.replace(each, origin=f"{source}: measurements[{i}].")
+        for i, each in enumerate(sensors)
+    )

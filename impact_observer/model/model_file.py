@@ -1,40 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model file: a linear system or a robot, and the initial state of the plant.
 
-Reading takes a few steps: the YAML (``yaml_text``), deviations set apart (``parameters_in_file``),
-keys and values (``schema``), and the system (``linear_model``, or ``robot_description``).
+Reading takes four steps: the YAML (``yaml_text``); deviations are set apart by the path of their
+number (``parameters_in_file``); keys and values are those of the ``schema``; a ``LinearFile`` or
+a ``RobotDescription`` is made, with the places of all parameters, to which deviations belong.
 """
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from msgspec import UnsetType
 
 from impact_observer.errors import ModelError, NotLinearError, UsageError
 from impact_observer.model.contact_sensors import KEY as SENSORS
-from impact_observer.model.contact_sensors import NO_SENSORS, ContactSensors, contact_sensors
+from impact_observer.model.contact_sensors import (
+    ContactSensors,
+    contact_sensors,
+    written_sensors,
+)
 from impact_observer.model.document import Value, converted, finite
 from impact_observer.model.fit_verdict import TimeShift, WrittenVerdict, verdict_keys
-from impact_observer.model.free_parameters import is_observed
+from impact_observer.model.free_parameters import LATENCY, is_observed
 from impact_observer.model.linear_model import (
-    matrices_of,
+    LinearFile,
     matrix_form,
-    system_of,
     written_samples,
 )
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
 from impact_observer.model.parameters_in_file import (
+    ParameterPlace,
     PlainDocument,
-    with_deviations,
+    declared_deviations,
+    of_use,
     without_deviations,
 )
-from impact_observer.model.robot_description import RobotDescription, one_of_each, read_robot
+from impact_observer.model.robot_description import (
+    RobotDescription,
+    places_in_robot,
+    read_robot,
+)
 from impact_observer.model.schema import Common, ElementModel, MatrixModel, RobotModel, State
-from impact_observer.model.system import LARGEST_STATE, UNITS, UNKNOWN_UNIT, Element, System
+from impact_observer.model.system import LARGEST_STATE, Element, System
 from impact_observer.model.yaml_text import load_yaml, yaml_text
 from impact_observer.resources import read_file_or_sample
 from impact_observer.states import Vector
@@ -57,6 +65,7 @@ class Model:
         uncertainty: how well the parameters are known; None if the file says nothing.
         robot: the robot; None for a linear system.
         sensors: errors of the sensors of single contacts.
+        places: where the numbers of parameters stand in the file.
     """
 
     linear: System | None
@@ -68,7 +77,8 @@ class Model:
     form: Mapping[str, Value] = field(default_factory=dict)
     uncertainty: ParameterUncertainty | None = None
     robot: RobotDescription | None = None
-    sensors: ContactSensors = NO_SENSORS
+    sensors: ContactSensors = field(default_factory=dict)
+    places: tuple[ParameterPlace, ...] = ()
 
     def __repr__(self) -> str:
         about = self.linear if self.robot is None else self.robot
@@ -169,8 +179,8 @@ class Model:
             }
         if self.uncertainty is not None:
             document["uncertainty"] = self.uncertainty.document
-        if self.sensors.by_contact:
-            document[SENSORS] = self.sensors.document
+        if self.sensors:
+            document[SENSORS] = written_sensors(self.sensors)
         if origin := provenance or self.provenance:
             document["provenance"] = {**origin, **verdict_keys(self.provenance)}
         return yaml_text(document)
@@ -200,12 +210,6 @@ def model_text(source: str | Path) -> ModelText:
     return ModelText(text, str(path), path.parent)
 
 
-_MASSES = re.compile(r"\bmass *:")
-"""What each body of a model file has, to be counted before the file is read as YAML."""
-_MOST_BODIES = 10_000
-"""As many have matrices of 100 million numbers; YAML takes a minute for ten times as many."""
-
-
 def read_model(source: str | Path) -> Model:
     """Read a model file, or a sample model by its name, such as ``two_mass``.
 
@@ -220,7 +224,7 @@ ModelSource: TypeAlias = Model | System | str | Path
 """A model, a bare system, or the path of a model file or the name of a sample model."""
 
 
-def model_of(source: ModelSource, asking: str) -> Model:
+def model_of(source: object, asking: str) -> Model:
     """The model that ``source`` is or names; errors begin with ``asking``, who wants the model.
 
     Raises:
@@ -231,16 +235,13 @@ def model_of(source: ModelSource, asking: str) -> Model:
         return source
     if isinstance(source, System):
         return Model(source)
-    if isinstance(source, str) and "\n" in source:
+    if not isinstance(source, str | Path) or "\n" in str(source):
+        found = type(source).__name__ if not isinstance(source, str) else "a text of several lines"
         raise UsageError(
-            f"{asking}: a text of several lines found; expected parse_model(TEXT, NAME)"
+            f"{asking}: {found} found; expected a Model, a System, or the path of a model file;"
+            " parse_model(TEXT, NAME) reads a text"
         )
-    if isinstance(source, (str, Path)):
-        return read_model(source)
-    raise UsageError(
-        f"{asking}: {type(source).__name__} found; expected a Model, a System, or the path of a"
-        " model file"
-    )
+    return read_model(source)
 
 
 def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
@@ -250,78 +251,79 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
         ModelError: one line that names ``source``, the key and the expected value.
     """
     try:
-        if (count := len(_MASSES.findall(text))) > _MOST_BODIES:
-            raise ModelError("bodies", f"{count} found; expected at most {_MOST_BODIES}")
         document = load_yaml(text)
         if not isinstance(document, Mapping):
             raise ModelError("", "is not a model: expected a YAML mapping with name, bodies, ...")
         plain = without_deviations(document)
-        read = _read_robot if "urdf" in document else _read_linear
-        return replace(read(plain, folder), source=source)
+        model = (_read_robot if "urdf" in document else _read_linear)(plain, folder)
+        WrittenVerdict.of(model.provenance)
+        return replace(model, source=source)
     except ModelError as error:
         raise error.in_file(source) from None
 
 
-_IN_BOTH = {*ElementModel.__struct_fields__} & {*MatrixModel.__struct_fields__}
-"""Keys of linear models of both forms."""
-
-
 def _read_linear(plain: PlainDocument, folder: Path | None) -> Model:
     """A model with elements or matrices."""
-    document, elements = plain.document, tuple[Element, ...]()
-    is_of_elements, form = "bodies" in document, dict[str, Any]()
-    other = MatrixModel if is_of_elements else ElementModel
-    for key in document:
-        if key in other.__struct_fields__ and key not in _IN_BOTH:
-            raise ModelError(str(key), "does not go with the other keys: matrices or elements")
+    document, form = plain.document, dict[str, Any]()
+    is_of_elements = "bodies" in document
     given: ElementModel | MatrixModel
+    given = (
+        converted(document, ElementModel) if is_of_elements else converted(document, MatrixModel)
+    )
+    file = LinearFile(given, folder)
+    system, elements = file.system, tuple(file.elements)
     if is_of_elements:
-        given = converted(document, ElementModel)
-        matrices, elements = matrices_of(given)
-        try:
-            system = system_of(matrices, folder)
-        except ModelError as error:
-            raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
         form = _own_keys(document)
         if system.own_forcing.sampled is not None:
             form["forcing"] = written_samples(system.own_forcing.sampled, system.coordinates)
         if system.frame is not None:
             form["grounds"] = list(system.frame.grounds.written)
-    else:
-        given = converted(document, MatrixModel)
-        system = system_of(given, folder)
-    usual = UNITS[0] if is_of_elements else UNKNOWN_UNIT
-    system = replace(system, unit=usual if isinstance(given.unit, UnsetType) else given.unit)
-    WrittenVerdict.of(given.provenance)
+    places = (
+        *file.places,
+        *(
+            ParameterPlace(f"{LATENCY}.{name}", (SENSORS, name, LATENCY), offset=each.latency)
+            for name, each in given.sensors.items()
+            if each != "none" and each.latency is not None
+        ),
+    )
+    declared = read_uncertainty(given.uncertainty)
+    errors = declared_deviations(declared, plain.deviations, places)
     return Model(
         system,
         *_start(given.initial_state, system),
         given.provenance,
         elements=elements,
         form=form,
-        uncertainty=with_deviations(read_uncertainty(given.uncertainty), plain, system, elements),
+        places=places,
+        uncertainty=None if errors is None else of_use(errors, system, elements),
         sensors=contact_sensors(given.sensors, system.contact_names),
     )
 
 
 def _read_robot(plain: PlainDocument, folder: Path | None) -> Model:
     """A model with the key ``urdf``."""
-    model, form = converted(plain.document, RobotModel), _own_keys(plain.document)
-    robot = read_robot(model, folder)
+    given, form = converted(plain.document, RobotModel), _own_keys(plain.document)
+    robot = read_robot(given, folder)
     if robot.urdf is not None:
         form["urdf"] = robot.urdf.text
     if robot.forcing.sampled is not None:
         samples = written_samples(robot.forcing.sampled, robot.joints)
         form["forcing"] = {**form["forcing"], **samples}
-    WrittenVerdict.of(model.provenance)
+    places, declared = tuple(places_in_robot(given, robot)), read_uncertainty(given.uncertainty)
+    errors = declared_deviations(declared, plain.deviations, places)
+    for name, key in errors.keys.items() if errors else ():
+        if name not in robot.parameters:
+            wanted = ", ".join(robot.parameters)
+            raise ModelError(key, f"{name!r} is no parameter; expected some of {wanted}")
     return Model(
         None,
-        *_state(model.initial_state, robot.n, one_of_each(robot.joints, robot.urdf)),
-        model.provenance,
+        *_state(given.initial_state, robot.n),
+        given.provenance,
         form=form,
-        uncertainty=with_deviations(read_uncertainty(model.uncertainty), plain, robot, ()),
+        places=places,
+        uncertainty=errors and errors.known,
         robot=robot,
-        sensors=contact_sensors(model.sensors, robot.contact_names),
+        sensors=contact_sensors(given.sensors, robot.contact_names),
     )
 
 
@@ -330,32 +332,30 @@ def _own_keys(document: Mapping[str, Value]) -> dict[str, Any]:
     return {k: value for k, value in document.items() if k not in Common.__struct_fields__}
 
 
-def _state(
-    given: State | UnsetType, n: int, meaning: str = ""
-) -> tuple[Vector | None, Vector | None]:
+def _state(given: State | None, n: int) -> tuple[Vector | None, Vector | None]:
     """Positions and velocities at the epoch of ``n`` coordinates, shape (n,) each, if any."""
-    if isinstance(given, UnsetType):
+    if given is None:
         return None, None
-    wanted = f"a list of {n} numbers{meaning}"
+    wanted = f"a list of {n} numbers, one a coordinate"
     return (
         finite("initial_state.position", given.position, (n,), wanted, LARGEST_STATE),
         finite("initial_state.velocity", given.velocity, (n,), wanted, LARGEST_STATE),
     )
 
 
-def _start(given: State | UnsetType, system: System) -> tuple[Vector | None, Vector | None]:
+def _start(given: State | None, system: System) -> tuple[Vector | None, Vector | None]:
     """The plant's initial state, which must not be inside a stop."""
     position, velocity = _state(given, system.n)
-    if position is None or velocity is None:
-        return None, None
-    at_epoch = system.to_frame(np.zeros(1, dtype=np.int64), np.append(position, velocity)[None])
-    start = at_epoch[0, : system.n]
-    for contact in system.penetrated(start):
-        name, gap = system.contact_names[contact], system.gap(start)[contact]
-        raise ModelError(
-            "initial_state.position",
-            f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0: check side, the order"
-            " of between or the sign of direction, and the units of gap, limit and amplitudes of"
-            " grounds",
-        )
+    if position is not None and velocity is not None:
+        x = np.append(position, velocity)[None]
+        at_epoch = system.to_frame(np.zeros(1, dtype=np.int64), x)
+        start = at_epoch[0, : system.n]
+        for contact in system.penetrated(start):
+            name, gap = system.contact_names[contact], system.gap(start)[contact]
+            raise ModelError(
+                "initial_state.position",
+                f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0: check side, the"
+                " order of between or the sign of direction, and the units of gap, limit and"
+                " amplitudes of grounds",
+            )
     return position, velocity

@@ -5,10 +5,9 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from msgspec import UnsetType
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Value, finite, matrix
+from impact_observer.model.document import Value, finite, symmetric
 from impact_observer.model.schema import UncertaintyKeys
 from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector, frozen
@@ -120,22 +119,18 @@ def _scale(covariance: Matrix) -> Vector:
     return np.where(deviations > 0, deviations, 1.0)
 
 
-def read_uncertainty(declared: UncertaintyKeys | UnsetType) -> ParameterUncertainty | None:
+def read_uncertainty(declared: UncertaintyKeys | None) -> ParameterUncertainty | None:
     """The key ``uncertainty`` of a model file; None where the file has no such key.
 
     Raises:
         ModelError: a value is wrong.
     """
-    if isinstance(declared, UnsetType):
+    if declared is None:
         return None
-    if not declared.names:
-        raise ModelError(f"{KEY}.names", "is empty; expected names such as restitution.stop")
-    p, ends = len(declared.names), declared.fitted_to
-    return ParameterUncertainty(
-        tuple(declared.names),
-        matrix(f"{KEY}.covariance", declared.covariance, (p, p)),
-        None if isinstance(ends, UnsetType) else (ends.first, ends.last),
-    )
+    ends = declared.fitted_to
+    fitted_to = None if ends is None else (ends.first, ends.last)
+    covariance = np.array(declared.covariance, dtype=object)  # rows may have any lengths
+    return ParameterUncertainty(declared.names, covariance, fitted_to)
 
 
 def _checked_covariance(covariance: Matrix, p: int) -> Matrix:
@@ -151,16 +146,10 @@ def _checked_covariance(covariance: Matrix, p: int) -> Matrix:
     deviations = np.sqrt(np.diag(given))
     sizes = np.outer(deviations, deviations)
     scale = np.where(sizes > 0, sizes, 1.0)
-    if np.any(wrong := np.abs(given - given.T) > _ROUNDING * sizes):
-        i, j = np.argwhere(wrong)[0]
-        raise ModelError(
-            key,
-            f"is not symmetric: [{i}][{j}] is {given[i, j]:g} but [{j}][{i}] is {given[j, i]:g};"
-            " make them equal",
-        )
+    even = symmetric(key, given, _ROUNDING * sizes)
     correlated = np.any(np.abs(given) > (1 + _ROUNDING) * sizes)
     if correlated or np.linalg.eigvalsh(given / scale).min(initial=0.0) < -_ROUNDING * p:
         raise ModelError(
             key, "is not positive semidefinite; expected correlations that are possible together"
         )
-    return frozen((given + given.T) / 2)
+    return even

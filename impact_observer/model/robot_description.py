@@ -2,17 +2,16 @@
 """A robot in a model file: a URDF, its joints and its contacts with fixed planes."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-from msgspec import UnsetType
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import check_names, vector
 from impact_observer.model.files_beside import file_beside
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.linear_model import smooth_forcing
+from impact_observer.model.parameters_in_file import ParameterPlace, Place
 from impact_observer.model.rebounds import ReboundLaw, read_rebound
 from impact_observer.model.schema import RobotContact, RobotModel, TopicKeys
 from impact_observer.model.system import unit_of
@@ -157,24 +156,24 @@ class RobotDescription:
     def torque_remarks(self) -> tuple[tuple[str, str], ...]:
         """Kinds (warning, note) and texts of what an observer does not know of torques."""
         if self.forces is None:
-            problem = (
+            text = (
                 "the model has no forces, so its torques count as zero, and encoders of a driven"
                 " robot seem to err: give forces: {topic: /joint_states, field: effort}"
             )
-            return (("warning", problem),)
-        if self.torque_deviation is None:
-            note = (
+        elif self.torque_deviation is None:
+            text = (
                 "the model has no torque_deviation: that of changes of efforts from sample to"
                 " sample is used, which covers no errors of masses"
             )
-            return (("note", note),)
-        if self.torque_deviation.any():
+            return (("note", text),)
+        elif not self.torque_deviation.any():
+            text = (
+                "the model has a torque_deviation of zero: its torques and efforts count as exact,"
+                " so deviations are too small; leave it out for that of efforts between samples"
+            )
+        else:
             return ()
-        problem = (
-            "the model has a torque_deviation of zero: its torques and efforts count as exact, so"
-            " deviations are too small; leave it out for that of efforts between samples"
-        )
-        return (("warning", problem),)
+        return (("warning", text),)
 
     def with_urdf(self, text: str) -> "RobotDescription":
         """The robot with the ``text`` of the URDF that came from the topic.
@@ -218,17 +217,15 @@ class RobotDescription:
     @property
     def parameters(self) -> dict[str, float]:
         """Values of the parameters that may have deviations, by name such as ``damping.elbow``."""
-        laws = [law.parameters for law in (each.rebound for each in self.contacts)]
-        return {
-            **_by_joint(DAMPING, self.joints, self.own_damping),
-            **_by_joint(ROTOR_INERTIA, self.joints, self.rotor_inertia),
-            **{
-                f"{RESTITUTION}.{contact.name}": each.value
-                for contact, parameters in zip(self.contacts, laws, strict=True)
-                for each in parameters
-                if each.kind == RESTITUTION
-            },
-        }
+        found = dict[str, float]()
+        for kind, values in {DAMPING: self.own_damping, ROTOR_INERTIA: self.rotor_inertia}.items():
+            names = (f"{kind}.{joint}" for joint in self.joints)
+            found |= dict(zip(names, values.tolist(), strict=True))
+        for contact in self.contacts:
+            for each in contact.rebound.parameters:
+                if each.kind == RESTITUTION:
+                    found[f"{RESTITUTION}.{contact.name}"] = each.value
+        return found
 
     def unit_of_parameter(self, name: str) -> str:
         """The SI unit of a parameter, by its name such as ``damping.elbow``; empty for a ratio."""
@@ -248,21 +245,16 @@ class RobotDescription:
             if known[name] < 0:
                 raise ModelError(name, f"{known[name]:g} found; expected a number of at least 0")
 
-        def of_joints(kind: str) -> Vector:
-            return frozen([known[f"{kind}.{name}"] for name in self.joints])
-
         contacts = []
         for i, each in enumerate(self.contacts):
-            eps = f"{RESTITUTION}.{each.name}"
-            own = [
-                known[eps] if p.kind == RESTITUTION else p.value for p in each.rebound.parameters
-            ]
-            law = each.rebound.with_values(own).checked(f"contacts[{i}]") if own else each.rebound
+            law, eps = each.rebound, known[f"{RESTITUTION}.{each.name}"]
+            own = [eps if p.kind == RESTITUTION else p.value for p in law.parameters]
+            law = law.with_values(own).checked(f"contacts[{i}]")
             contacts.append(replace(each, rebound=law))
         return replace(
             self,
-            own_damping=of_joints(DAMPING),
-            rotor_inertia=of_joints(ROTOR_INERTIA),
+            own_damping=frozen([known[f"{DAMPING}.{name}"] for name in self.joints]),
+            rotor_inertia=frozen([known[f"{ROTOR_INERTIA}.{name}"] for name in self.joints]),
             contacts=tuple(contacts),
         )
 
@@ -291,27 +283,15 @@ class RobotDescription:
             return f"mimics {joint.mimics!r}; expected a joint that moves by itself"
         if joint.friction:
             return (
-                f"has dry friction of {joint.friction:g} in {self.origin}, which robots cannot"
-                " have here; expected friction 0, and damping instead"
+                f"has dry friction of {joint.friction:g} in {self.origin}; expected friction 0,"
+                " and damping instead"
             )
-        for other in urdf.joints.values():
-            if other.mimics == name:
-                return (
-                    f"moves {other.name!r} of {self.origin}, which mimics {name!r}; expected a"
-                    f" URDF in which {other.name!r} is fixed"
-                )
+        if moved := [each.name for each in urdf.joints.values() if each.mimics == name]:
+            return (
+                f"moves {moved[0]!r} of {self.origin}, which mimics {name!r}; expected a URDF in"
+                f" which {moved[0]!r} is fixed"
+            )
         return ""
-
-
-def one_of_each(joints: Sequence[str], urdf: Urdf | None) -> str:
-    """The words for one number of each of the ``joints``, after the number of numbers."""
-    left = [] if urdf is None else urdf.movable_beside(joints)
-    others = f", without {', '.join(left)} of {urdf.source}" if urdf is not None and left else ""
-    return f", one of each in joints: {', '.join(joints)}{others}"
-
-
-def _by_joint(kind: str, joints: Sequence[str], values: Vector) -> dict[str, float]:
-    return {f"{kind}.{name}": value for name, value in zip(joints, values.tolist(), strict=True)}
 
 
 def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
@@ -320,22 +300,40 @@ def read_robot(model: RobotModel, folder: Path | None) -> RobotDescription:
     Raises:
         ModelError: a value is wrong; the error names the key and the expected value.
     """
-    joints, urdf = tuple(model.joints), _urdf(model.urdf, folder)
-    forcing = smooth_forcing(model.forcing, joints, folder, one_of_each(joints, urdf))
+    joints, urdf = model.joints, _urdf(model.urdf, folder)
+    noise = model.torque_deviation
+    if isinstance(noise, float):
+        noise = dict.fromkeys(joints, noise)
+    forcing = smooth_forcing(model.forcing, joints, folder)
     return RobotDescription(
         name=model.name,
         joints=joints,
         urdf=urdf,
         topic=model.urdf.topic if isinstance(model.urdf, TopicKeys) else "",
         held=model.held,
-        own_damping=_of_joints("damping", model.damping, joints, urdf),
-        rotor_inertia=_of_joints("rotor_inertia", model.rotor_inertia, joints, urdf),
+        own_damping=_of_joints("damping", model.damping, joints),
+        rotor_inertia=_of_joints("rotor_inertia", model.rotor_inertia, joints),
         contacts=tuple(_read_contact(f"contacts[{i}]", c) for i, c in enumerate(model.contacts)),
-        forces=None if isinstance(model.forces, UnsetType) else (model.forces.topic, "effort"),
-        torque_deviation=_torque_deviation(model.torque_deviation, joints, urdf),
+        forces=None if model.forces is None else (model.forces.topic, "effort"),
+        torque_deviation=None if noise is None else _of_joints("torque_deviation", noise, joints),
         gravity=vector("gravity", model.gravity, 3),
         forcing=forcing.checked(len(joints)),
     )
+
+
+def places_in_robot(model: RobotModel, robot: RobotDescription) -> Iterator[ParameterPlace]:
+    """Where the numbers of the parameters of a ``robot`` stand in its file."""
+    of_joints = {
+        "damping": (DAMPING, model.damping),
+        "rotor_inertia": (ROTOR_INERTIA, model.rotor_inertia),
+    }
+    for key, (kind, joints) in of_joints.items():
+        yield from (ParameterPlace(f"{kind}.{joint}", (key, joint)) for joint in joints)
+    for i, contact in enumerate(robot.contacts):
+        for each in contact.rebound.parameters:
+            if each.kind == RESTITUTION:
+                path: Place = ("contacts", i, *each.place)
+                yield ParameterPlace(f"{RESTITUTION}.{contact.name}", path)
 
 
 def _urdf(given: str | TopicKeys, folder: Path | None) -> Urdf | None:
@@ -347,27 +345,13 @@ def _urdf(given: str | TopicKeys, folder: Path | None) -> Urdf | None:
     return Urdf(read_text(file_beside("urdf", given, folder)), given)
 
 
-def _of_joints(
-    key: str, given: Mapping[str, float], joints: tuple[str, ...], urdf: Urdf | None
-) -> Vector:
+def _of_joints(key: str, given: Mapping[str, float], joints: tuple[str, ...]) -> Vector:
     """A number of each joint, zero where a joint has none, shape (n,)."""
     for name in given:
         if name not in joints:
             wanted = ", ".join(joints)
-            if urdf is not None and name in urdf.movable_beside(joints):
-                wanted += f", or {name} in joints, without which it is held"
             raise ModelError(f"{key}.{name}", f"is none of joints; expected some of {wanted}")
     return frozen([given.get(name, 0.0) for name in joints])
-
-
-def _torque_deviation(
-    given: float | Mapping[str, float] | UnsetType, joints: tuple[str, ...], urdf: Urdf | None
-) -> Vector | None:
-    if isinstance(given, UnsetType):
-        return None
-    if isinstance(given, Mapping):
-        return _of_joints("torque_deviation", given, joints, urdf)
-    return frozen([given] * len(joints))
 
 
 def _read_contact(key: str, contact: RobotContact) -> PlaneContact:

@@ -3,11 +3,10 @@
 """The keys of a model file: linear systems as elements or as matrices, and robots.
 
 SI units: kg, N/m, Ns/m, N, m, s, rad/s, rad; for coordinates in rad those of angles. Of a robot
-Nm s/rad or Ns/m, kg m^2 or kg, Nm or N by the type of the joint. Numbers of the type ``Known``,
-``Positive`` and ``NotNegative`` may bear their standard deviation, ``{value: 0.7, deviation:
-0.01}``, where they are parameters of the model (``parameters_in_file.py``). A matrix of a linear
-system may be the name of a ``.npy`` or Matrix Market file beside the model file, ``sampled`` that
-of a CSV file, or its text.
+Nm s/rad or Ns/m, kg m^2 or kg, Nm or N by the type of the joint. Numbers of parameters may bear
+their standard deviation, ``{value: 0.7, deviation: 0.01}`` (``parameters_in_file.py``). A matrix
+of a linear system may be the name of a ``.npy`` or Matrix Market file beside the model file,
+``sampled`` that of a CSV file, or its text. None stands for a key that is left out.
 
 All classes are frozen as ``Keys`` is; mypy asks each class to say so, hence the line above.
 """
@@ -15,16 +14,18 @@ All classes are frozen as ``Keys`` is; mypy asks each class to say so, hence the
 import math
 from typing import Annotated, Any, Literal, TypeAlias
 
-from msgspec import UNSET, Meta, UnsetType, field
+from msgspec import Meta, field
 
 from impact_observer.errors import ModelError
 from impact_observer.model.contact_sensors import ContactSensor
 from impact_observer.model.document import Keys, Name, NotNegative, Number, Positive
 
-Known: TypeAlias = Number
 Row: TypeAlias = tuple[Number, ...]
 File: TypeAlias = str
-Restitution: TypeAlias = Known | dict[str, Known]
+Pair: TypeAlias = tuple[Name, Name]
+MOST_BODIES = 10_000
+"""As many have matrices of 100 million numbers."""
+Restitution: TypeAlias = Number | dict[str, Number]
 """A coefficient, or the numbers of another rebound law by name (``rebounds/``)."""
 
 
@@ -45,9 +46,9 @@ class FittedTo(Keys):
 class UncertaintyKeys(Keys):
     """Covariance of parameters by the names that ``identify --free`` has, SI units."""
 
-    names: tuple[Name, ...]
+    names: Annotated[tuple[Name, ...], Meta(min_length=1)]
     covariance: tuple[Row, ...]
-    fitted_to: FittedTo | UnsetType = UNSET
+    fitted_to: FittedTo | None = None
 
 
 class Common(Keys):
@@ -59,45 +60,58 @@ class Common(Keys):
     """
 
     name: Name
-    initial_state: State | UnsetType = UNSET
-    uncertainty: UncertaintyKeys | UnsetType = UNSET
+    initial_state: State | None = None
+    uncertainty: UncertaintyKeys | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     sensors: dict[str, ContactSensor | Literal["none"]] = field(default_factory=dict)
 
 
-class Periodic(Keys):
-    """What has a frequency, in rad/s or in Hz."""
+class Rate(Keys):
+    """A frequency, in rad/s or in Hz."""
 
-    frequency: Positive | UnsetType = UNSET
-    hertz: Positive | UnsetType = UNSET
+    frequency: Positive | None = None
+    hertz: Positive | None = None
 
-    def omega(self, key: str) -> float:
+    @property
+    def omega(self) -> float:
         """The angular frequency, rad/s.
 
         Raises:
-            ModelError: both keys or neither; ``key`` is that of the mapping.
+            ModelError: both keys or neither.
         """
-        if not isinstance(self.frequency, UnsetType):
-            if not isinstance(self.hertz, UnsetType):
-                raise ModelError(f"{key}.hertz", "stands beside frequency; write one of them")
-            return self.frequency
-        if isinstance(self.hertz, UnsetType):
-            raise ModelError(f"{key}.frequency", "is missing")
-        return math.tau * self.hertz
+        if self.frequency is not None and self.hertz is not None:
+            raise ModelError("hertz", "stands beside frequency; write one of them")
+        if self.hertz is not None:
+            return math.tau * self.hertz
+        if self.frequency is None:
+            raise ModelError("frequency", "is missing")
+        return self.frequency
+
+
+class Periodic(Rate):
+    """What needs a frequency."""
+
+    def __post_init__(self) -> None:
+        """Check that there is one frequency."""
+        _ = self.omega
 
 
 class Wave(Periodic, kw_only=True):
     """``amplitude cos(w t + phase)``, m."""
 
-    amplitude: Known
-    phase: Known = 0.0
+    amplitude: Number
+    phase: Number = 0.0
 
 
 class MotionKeys(Keys):
     """The motion of a ground: a sum of waves, or a table of ``time`` and ``displacement``."""
 
-    harmonics: tuple[Wave, ...] | UnsetType = UNSET
-    sampled: File | UnsetType = UNSET
+    harmonics: tuple[Wave, ...] | None = None
+    sampled: File | None = None
+
+    def __post_init__(self) -> None:
+        """Check that there is one of both."""
+        self.check_form(("harmonics",) if self.sampled is None else ("sampled",))
 
 
 class Ground(Keys):
@@ -117,14 +131,20 @@ class TableKeys(Keys):
 class SampledForces(Keys):
     """Forces by samples, beside those of other keys."""
 
-    sampled: File | TableKeys | UnsetType = UNSET
-    hold: Literal["previous", "linear"] | UnsetType = UNSET
+    sampled: File | TableKeys | None = None
+    hold: Literal["previous", "linear"] | None = None
+
+    def __post_init__(self) -> None:
+        """Check that samples have a hold, and a hold samples."""
+        if (self.sampled is None) != (self.hold is None):
+            missing = "sampled" if self.sampled is None else "hold"
+            raise ModelError(missing, "is missing; expected both sampled and hold")
 
 
 class Linear(Common):
     """What linear systems have in both forms; unit: of the coordinates."""
 
-    unit: Literal["m", "rad"] | UnsetType = UNSET
+    unit: Literal["m", "rad"] | None = None
     grounds: tuple[Ground, ...] = ()
 
 
@@ -138,20 +158,30 @@ class Body(Keys):
 class Spring(Keys):
     """A spring, and a damper, between two bodies or grounds."""
 
-    between: Annotated[tuple[Name, ...], Meta(min_length=2, max_length=2)]
+    between: Pair
     stiffness: NotNegative
-    damping: NotNegative | UnsetType = UNSET
+    damping: NotNegative | None = None
 
 
-class Force(Periodic, kw_only=True):
+class Force(Rate, kw_only=True):
     """A force on a body: one constant, wave, square wave or live input."""
 
     body: Name
-    constant: Known | UnsetType = UNSET
-    amplitude: Known | UnsetType = UNSET
-    phase: Known | UnsetType = UNSET
-    shape: Literal["square"] | UnsetType = UNSET
-    input: Name | UnsetType = UNSET
+    constant: Number | None = None
+    amplitude: Number | None = None
+    phase: Number | None = None
+    shape: Literal["square"] | None = None
+    input: Name | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the keys are those of one form."""
+        if self.input is not None:
+            self.check_form(("input",))
+        elif self.constant is not None:
+            self.check_form(("constant",))
+        else:
+            self.check_form(("amplitude",), ("frequency", "hertz", "phase", "shape"))
+            _ = self.omega
 
 
 class StopKeys(Keys):
@@ -163,29 +193,36 @@ class StopKeys(Keys):
 
     name: Name
     restitution: Restitution
-    body: Name | UnsetType = UNSET
-    limit: Known | UnsetType = UNSET
-    side: Literal["above", "below"] | UnsetType = UNSET
-    ground: Name | UnsetType = UNSET
-    between: Annotated[tuple[Name, ...], Meta(min_length=2, max_length=2)] | UnsetType = UNSET
-    gap: Known | UnsetType = UNSET
+    body: Name | None = None
+    limit: Number | None = None
+    side: Literal["above", "below"] | None = None
+    ground: Name | None = None
+    between: Pair | None = None
+    gap: Number | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the keys are those of one form."""
+        if self.between is not None:
+            self.check_form(("between", "gap"))
+        else:
+            self.check_form(("body", "limit", "side"), ("ground",))
 
 
 class ElementModel(Linear, kw_only=True):
     """A linear system as bodies, springs, forces and stops on one line."""
 
-    bodies: Annotated[tuple[Body, ...], Meta(min_length=1)]
+    bodies: Annotated[tuple[Body, ...], Meta(min_length=1, max_length=MOST_BODIES)]
     springs: tuple[Spring, ...] = ()
     forces: tuple[Force, ...] = ()
-    forcing: SampledForces | UnsetType = UNSET
+    forcing: SampledForces = SampledForces()
     stops: tuple[StopKeys, ...] = ()
 
 
 class Harmonic(Periodic):
     """``cosine cos(w t) + sine sin(w t)``, a number a coordinate."""
 
-    cosine: Row | UnsetType = UNSET
-    sine: Row | UnsetType = UNSET
+    cosine: Row | None = None
+    sine: Row | None = None
 
 
 class Square(Periodic, kw_only=True):
@@ -199,8 +236,8 @@ class GroundForces(Keys):
     """Forces by unit displacement, and by unit speed, of a ground."""
 
     name: Name
-    stiffness: Row | UnsetType = UNSET
-    damping: Row | UnsetType = UNSET
+    stiffness: Row | None = None
+    damping: Row | None = None
 
 
 class LiveForce(Keys):
@@ -213,7 +250,7 @@ class LiveForce(Keys):
 class SmoothForcing(SampledForces):
     """``f(t)`` by constants, harmonics and samples."""
 
-    constant: tuple[Known, ...] | UnsetType = UNSET
+    constant: Row | None = None
     harmonics: tuple[Harmonic, ...] = ()
 
 
@@ -237,7 +274,7 @@ class MatrixContact(Keys):
 
     name: Name
     direction: Row
-    gap: Known
+    gap: Number
     restitution: Restitution
     motion: tuple[GroundFactor, ...] = ()
 
@@ -291,7 +328,7 @@ class RobotModel(Common, kw_only=True):
     damping: dict[str, NotNegative] = field(default_factory=dict)
     rotor_inertia: dict[str, NotNegative] = field(default_factory=dict)
     contacts: tuple[RobotContact, ...] = ()
-    forces: Effort | UnsetType = UNSET
-    torque_deviation: NotNegative | dict[str, NotNegative] | UnsetType = UNSET
+    forces: Effort | None = None
+    torque_deviation: NotNegative | dict[str, NotNegative] | None = None
     gravity: Row = (0.0, 0.0, -9.81)
     forcing: SmoothForcing = SmoothForcing()

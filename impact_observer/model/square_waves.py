@@ -11,13 +11,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from impact_observer.errors import ModelError
 from impact_observer.model.angles import TURN
-from impact_observer.model.document import finite
 from impact_observer.stamps import NS_PER_S, Elapsed
 from impact_observer.states import Matrix, Vector, frozen
 
-KEY = "forcing.squares"
 _NS = 1 << 64
 """Parts of a nanosecond."""
 _S = _NS * NS_PER_S
@@ -34,9 +31,6 @@ class SquareWaves:
         phase: shape (s,), rad.
         force: shape (s, n), N or Nm.
         instants: first switch and half period of each wave, 2^-64 ns since the epoch. Derived.
-
-    Raises:
-        ModelError: naming the key of the model file and what is wrong with it.
     """
 
     frequency: Vector
@@ -45,25 +39,11 @@ class SquareWaves:
     instants: tuple[tuple[int, int], ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Copy, freeze and check all fields, and derive the instants."""
-        count, n = np.size(self.frequency), np.shape(self.force)[-1]
-        frequency = finite(f"{KEY}.frequency", self.frequency, (count,), "a list")
-        for k in np.flatnonzero(frequency <= 0):
-            raise ModelError(
-                f"{KEY}[{k}].frequency",
-                f"is {frequency[k]:g}; expected a positive number, rad/s",
-            )
-        phase = finite(f"{KEY}.phase", self.phase, (count,), "one of each frequency")
-        force = finite(f"{KEY}.amplitude", self.force, (count, n), "a row of each frequency")
-        pairs = zip(frequency.tolist(), phase.tolist(), strict=True)
-        derived = {
-            "frequency": frequency,
-            "phase": phase,
-            "force": frozen(force),
-            "instants": tuple(_first_and_half(*each) for each in pairs),
-        }
-        for key, value in derived.items():
-            object.__setattr__(self, key, value)
+        """Freeze all fields, and derive the instants."""
+        pairs = zip(self.frequency.tolist(), self.phase.tolist(), strict=True)
+        object.__setattr__(self, "instants", tuple(_first_and_half(*each) for each in pairs))
+        for key in ("frequency", "phase", "force"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
 
     @classmethod
     def of_rows(cls, rows: Sequence[tuple[float, float, Vector]]) -> "SquareWaves":

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import LARGEST, check_names, finite
+from impact_observer.model.document import LARGEST, check_names, finite, symmetric
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import Grounds, LiveNames, MovingFrame
 from impact_observer.model.rebounds import ReboundLaw
@@ -157,8 +157,8 @@ class System:
         M = finite("mass", self.M, (n, n), square)
         C = finite("damping", self.C, (n, n), square)
         K = finite("stiffness", self.K, (n, n), square)
-        _check_symmetric("mass", M)
-        _check_symmetric("stiffness", K)
+        M = symmetric("mass", M, _SYMMETRY * np.max(np.abs(M)))
+        K = symmetric("stiffness", K, _SYMMETRY * np.max(np.abs(K)))
         _check_definite("mass", M, strictly=True)
         _check_definite("stiffness", K, strictly=False)
         _check_definite("damping", (C + C.T) / 2, strictly=False)
@@ -166,9 +166,9 @@ class System:
         check_names("contacts", [c.name for c in contacts])
         W = np.reshape([c.direction for c in contacts], (-1, n)).T
         derived = {
-            "M": frozen((M + M.T) / 2),
+            "M": M,
             "C": C,
-            "K": frozen((K + K.T) / 2),
+            "K": K,
             "forcing": self.forcing.checked(n),
             "contacts": contacts,
             "W": frozen(W),
@@ -179,8 +179,6 @@ class System:
         }
         for key, value in derived.items():
             object.__setattr__(self, key, value)
-        if self.frame is not None:
-            self.frame.check(self.forcing, self.M, self.C, self.K)
 
     def unchecked(self, **changes: object) -> "System":
         """A copy with other values of fields, also of derived ones; nothing is checked."""
@@ -379,18 +377,6 @@ def checked_parts(position: ArrayLike, velocity: ArrayLike, n: int) -> tuple[Vec
     return (
         finite("position", position, (n,), wanted, LARGEST_STATE),
         finite("velocity", velocity, (n,), wanted, LARGEST_STATE),
-    )
-
-
-def _check_symmetric(key: str, matrix: Matrix) -> None:
-    difference = np.abs(matrix - matrix.T)
-    if np.max(difference) <= _SYMMETRY * np.max(np.abs(matrix)):
-        return
-    i, j = sorted(map(int, np.unravel_index(np.argmax(difference), matrix.shape)))
-    raise ModelError(
-        key,
-        f"is not symmetric: [{i}][{j}] is {matrix[i, j]:g} but [{j}][{i}] is {matrix[j, i]:g};"
-        " make them equal",
     )
 
 

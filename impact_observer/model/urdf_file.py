@@ -55,18 +55,10 @@ class UrdfJoint:
         return UNITS_BY_TYPE[self.type]
 
 
-def _numbers(element: ET.Element | None, attribute: str) -> list[float]:
-    """The numbers of an attribute; empty without any, or where a word is no number."""
-    text = "" if element is None else element.get(attribute, "")
-    try:
-        return [float(each) for each in text.split()]
-    except ValueError:
-        return []  # the library that makes the robot names the word
-
-
-def _is_direction(numbers: list[float]) -> bool:
-    """Whether a vector has a length that can be divided by."""
-    return 1 / LARGEST < math.hypot(*numbers) < LARGEST
+def _attribute(element: ET.Element, path: str, name: str) -> str:
+    """An attribute of the part of an ``element`` at a ``path``; empty without any."""
+    part = element.find(path)
+    return "" if part is None else part.get(name, "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,20 +83,17 @@ class Urdf:
     def __post_init__(self) -> None:
         """Read links and joints."""
         root = self.root()
-        links = tuple(each.get("name", "") for each in root.iterfind("link"))
+        links = [each.get("name", "") for each in root.iterfind("link")]
         joints = [self._joint(each) for each in root.iterfind("joint")]
-        for i, link in enumerate(links):
-            if not link or link in links[:i]:
-                raise self.wrong(f"link {link!r} found twice or without a name")
-        self._check_masses(root)
-        found: dict[str, UrdfJoint] = {}
+        self._check_names("link", links)
+        self._check_names("joint", [each.name for each in joints])
+        for each in root.iterfind("link"):
+            if (mass := self._number(each, "inertial/mass", "value", 0.0)) < 0:
+                problem = f"link {each.get('name')!r} has a mass of {mass:g} kg"
+                raise self.wrong(f"{problem}; expected a number not below zero")
         for joint in joints:
-            if not joint.name or joint.name in found:
-                raise self.wrong(f"joint {joint.name!r} found twice or without a name")
-            for link in (joint.parent, joint.child):
-                if link not in links:
-                    raise self.wrong(f"joint {joint.name!r} names {link!r}, which is no link")
-            found[joint.name] = joint
+            for link in {joint.parent, joint.child} - {*links}:
+                raise self.wrong(f"joint {joint.name!r} names {link!r}, which is no link")
         children = [each.child for each in joints]
         roots = [link for link in links if link not in children]
         if len(roots) != 1 or len(set(children)) != len(children):
@@ -115,8 +104,8 @@ class Urdf:
             tree |= branches
         if apart := [link for link in links if link not in tree]:
             raise self.wrong(f"is no tree: link {apart[0]!r} is part of a cycle; expected a tree")
-        object.__setattr__(self, "links", links)
-        object.__setattr__(self, "joints", found)
+        object.__setattr__(self, "links", tuple(links))
+        object.__setattr__(self, "joints", {each.name: each for each in joints})
 
     @property
     def root_link(self) -> str:
@@ -152,55 +141,50 @@ class Urdf:
         """The error that names the file and the ``problem``."""
         return ModelError("urdf", f"{self.source}: {problem}")
 
-    def _check_masses(self, root: ET.Element) -> None:
-        for each in root.iterfind("link"):
-            for mass in _numbers(each.find("inertial/mass"), "value"):
-                if mass < 0:
-                    problem = f"link {each.get('name')!r} has a mass of {mass:g} kg"
-                    raise self.wrong(f"{problem}; expected a number not below zero")
+    def _check_names(self, what: str, names: list[str]) -> None:
+        for i, name in enumerate(names):
+            if not name or name in names[:i]:
+                raise self.wrong(f"{what} {name!r} found twice or without a name")
+
+    def _number(self, element: ET.Element, path: str, name: str, default: float) -> float:
+        """The number of an attribute, or the ``default`` where there is none."""
+        if not (text := _attribute(element, path, name)):
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not abs(value) <= LARGEST:
+            owner = f"{element.tag} {element.get('name')!r}"
+            raise self.wrong(f"{owner}: {name}={text!r}; expected a number")
+        return value
 
     def _joint(self, element: ET.Element) -> UrdfJoint:
         name, kind = element.get("name", ""), element.get("type", "")
         if kind not in _TYPES:
             wanted = ", ".join(_TYPES)
             raise self.wrong(f"joint {name!r} has the type {kind!r}; expected one of {wanted}")
-
-        axis = element.find("axis")
-        numbers = _numbers(axis, "xyz")
-        if axis is not None and kind in UNITS_BY_TYPE and numbers and not _is_direction(numbers):
-            found = f"joint {name!r} has the axis {axis.get('xyz')!r}"
+        axis = _attribute(element, "axis", "xyz")
+        try:
+            length = math.hypot(*map(float, axis.split())) if axis else 1.0
+        except ValueError:
+            length = 1.0  # the library that makes the robot names the word
+        if kind in UNITS_BY_TYPE and not 1 / LARGEST < length < LARGEST:
+            found = f"joint {name!r} has the axis {axis!r}"
             raise self.wrong(f"{found}; expected a direction, such as '0 0 1'")
-
-        def number(tag: str, attribute: str, default: float) -> float:
-            part = element.find(tag)
-            text = None if part is None else part.get(attribute)
-            if text is None:
-                return default
-            try:
-                value = float(text)
-            except ValueError:
-                value = math.nan
-            if not abs(value) <= LARGEST:
-                raise self.wrong(f"joint {name!r}: {attribute}={text!r}; expected a number")
-            return value
-
-        def text(tag: str, attribute: str) -> str:
-            part = element.find(tag)
-            return "" if part is None else part.get(attribute, "")
-
-        bounded = kind in {"revolute", "prismatic"}
-        limits = {"velocity": math.inf, "effort": math.inf} | (
-            {"lower": 0.0, "upper": 0.0} if bounded and element.find("limit") is not None else {}
-        )
+        is_bounded = kind in {"revolute", "prismatic"} and element.find("limit") is not None
+        defaults = {"velocity": math.inf, "effort": math.inf}
+        if is_bounded:
+            defaults |= {"lower": 0.0, "upper": 0.0}
         return UrdfJoint(
             name=name,
             type=kind,
-            parent=text("parent", "link"),
-            child=text("child", "link"),
-            **{key: number("limit", key, default) for key, default in limits.items()},
-            damping=number("dynamics", "damping", 0.0),
-            friction=number("dynamics", "friction", 0.0),
-            mimics=text("mimic", "joint"),
-            multiplier=number("mimic", "multiplier", 1.0),
-            offset=number("mimic", "offset", 0.0),
+            parent=_attribute(element, "parent", "link"),
+            child=_attribute(element, "child", "link"),
+            **{key: self._number(element, "limit", key, each) for key, each in defaults.items()},
+            damping=self._number(element, "dynamics", "damping", 0.0),
+            friction=self._number(element, "dynamics", "friction", 0.0),
+            mimics=_attribute(element, "mimic", "joint"),
+            multiplier=self._number(element, "mimic", "multiplier", 1.0),
+            offset=self._number(element, "mimic", "offset", 0.0),
         )

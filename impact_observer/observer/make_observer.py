@@ -74,7 +74,7 @@ def make_observer(
         unknowns = unknowns or _unknown_parameters(system, options, model)
         undeclared = 0.0 if is_exact or model.has_exact_numbers else _UNDECLARED_ERROR
     contacts = None
-    if model.sensors.by_contact and law.has_covariance:
+    if model.sensors and law.has_covariance:
         contacts = ContactErrors.of(model.sensors, system.contact_names, options.missed)
     encoders = None
     if system.has_encoders and options.initial_state == Options.initial_state:

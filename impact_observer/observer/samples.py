@@ -44,7 +44,7 @@ class DeclaredSensor:
         rows = np.zeros((3, system.n))
         given = measurement.position, measurement.velocity, measurement.acceleration
         for row, coefficients in zip(rows, given, strict=True):
-            for name, value in coefficients:
+            for name, value in coefficients.items():
                 row[system.coordinates.index(name)] += value
         gap = measurement.gap
         contact = system.contact_names.index(gap) if gap else -1

@@ -96,7 +96,7 @@ class Plant:
         if position is None or velocity is None:
             if position is not velocity:
                 raise UsageError("Plant: position or velocity is missing; expected both, or none")
-            position, velocity = model_of(given, "Plant").initial_state()  # type: ignore[arg-type]
+            position, velocity = model_of(given, "Plant").initial_state()
         self.epoch = whole_stamp(epoch, "epoch")
         self._live = live
         if live is not None:
@@ -272,4 +272,4 @@ def _system_of(source: Multibody | ModelSource) -> Multibody:
     """The system that a plant is given, or that of a model."""
     if is_multibody(source):
         return source
-    return multibody_of(model_of(cast(ModelSource, source), "Plant"))
+    return multibody_of(model_of(source, "Plant"))

@@ -76,7 +76,7 @@ class SensorModel:
         Raises:
             UsageError: mislabelled impacts of a single contact, or spurious ones of none.
         """
-        count = system.m - [sensor for _, sensor in sensors.by_contact].count(None)
+        count = system.m - [*sensors.values()].count(None)
         for name, least in (("mislabelled", 2), ("spurious", 1)):
             if getattr(self, name) and count < least:
                 raise UsageError(
@@ -180,13 +180,12 @@ class SensorSimulation:
         draws = [np.random.Generator(np.random.PCG64(each)) for each in root.spawn(7 + system.m)]
         self._missed_draws, self._label_draws, self._spurious_draws = draws[:3]
         self._true_timing, self._spurious_timing = draws[3:5], draws[5:7]
-        own = dict(sensors.by_contact)
         self._errors = [
-            _errors_of(sensor, own.get(name, _SHARED), each)
+            _errors_of(sensor, sensors.get(name, _SHARED), each)
             for name, each in zip(system.contact_names, draws[7:], strict=True)
         ]
         self._reporting = [
-            i for i, name in enumerate(self._index) if own.get(name, _SHARED) is not None
+            i for i, name in enumerate(self._index) if sensors.get(name, _SHARED) is not None
         ]
         self._sequence = self._order = 0
         self._to_send: list[_Sent] = []

@@ -23,7 +23,6 @@ from impact_observer.io.bag_part import FILE_ZERO, TimeZero, time_zero
 from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import impact_estimates
-from impact_observer.io.state_arrays import deviations_in
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.model_file import ModelText, model_text
@@ -154,12 +153,9 @@ def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list
         zero = TimeZero(impacts.zero, FILE_ZERO) if impacts.zero else time_zero(reader)
         write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], lambda *_: None, zero))
         hits = impact_estimates(reader)[_IMPACTS]
-        blocks = [
-            (block.stamps, block.q, deviations_in(block)[:, : system.n])
-            for _, block in reader.blocks([_STATES], system.coordinates, covariance=True)
-        ]
-    stamps, positions, deviations = (np.concatenate(each) for each in zip(*blocks, strict=True))
-    motion = PlottedMotion(system.coordinates, stamps, positions, deviations)
+        states = reader.observer_states(_STATES, system.coordinates)
+    deviations = states.deviations[:, : system.n]
+    motion = PlottedMotion(system.coordinates, states.stamps, states.q, deviations)
     units = system.unit, unit_of("J", system.unit)
     title = f"{system.name} {'fits' if fit.fits else 'does not fit'}"
     signals = _signals(impacts)

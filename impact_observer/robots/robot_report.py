@@ -46,7 +46,7 @@ def robot_json(model: Model) -> dict[str, Any]:
                 "frame": each.frame,
                 "normal": each.normal.tolist(),
                 "offset": each.offset,
-                **each.rebound.document,
+                "restitution": each.rebound.written,
                 "gap": gap,
                 "effective_mass": _finite(mass),
             }

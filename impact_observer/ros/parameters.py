@@ -15,7 +15,7 @@ from impact_observer.options import (
     Option,
     Value,
 )
-from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
+from impact_observer.sensor_faults import MEASUREMENT_RATE, SENSOR_FAULTS
 
 if TYPE_CHECKING:
     from rcl_interfaces.msg import ParameterDescriptor
@@ -87,7 +87,7 @@ PLANT = (
     ),
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
     _MEASUREMENTS,
-    *SAMPLING,
+    MEASUREMENT_RATE,
     _MAX_MESSAGE,
     _AUTOSTART,
 )

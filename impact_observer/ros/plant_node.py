@@ -15,7 +15,6 @@ from impact_observer.events import Contacts
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, LiveSample, read_efforts
 from impact_observer.io.recordings import published_model
-from impact_observer.io.simulated_samples import Sampling
 from impact_observer.model import System, read_model
 from impact_observer.model.live_signals import LiveSignals, connected
 from impact_observer.model.measurement import read_measurements
@@ -26,7 +25,7 @@ from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.intake import Receiver
 from impact_observer.ros.plant_sensors import PlantSensors
 from impact_observer.ros.sample_intake import silence
-from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
+from impact_observer.sensor_faults import MEASUREMENT_RATE, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 from impact_observer.states import Vector
 
@@ -103,9 +102,8 @@ class PlantNode(BaseNode):
             self.publisher(interfaces.SIMULATED_CLOCK) if self._owns_clock else None
         )
         declared = read_measurements(values["measurements"])
-        of_samples = {each.name: values[each.name] for each in SAMPLING}
-        sampling = Sampling.from_values(of_samples)
-        self._sensors = PlantSensors(self, declared, self._system, sampling, self._seed)
+        rate = values[MEASUREMENT_RATE.name]
+        self._sensors = PlantSensors(self, declared, self._system, rate, self._seed)
         self._closed: Contacts = ()
         text = published_model(self._model, self._seed, self._sensor)
         self._model_topic.publish(self.make.model(text))

@@ -11,7 +11,7 @@ import numpy as np
 from impact_observer.events import Contacts
 from impact_observer.io.interfaces import SENSORS
 from impact_observer.io.messages import AnyMessage
-from impact_observer.io.simulated_samples import SampleSimulation, Sampling, SimulatedMessage
+from impact_observer.io.simulated_samples import SampleSimulation, SimulatedMessage
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.multibody import Multibody
 from impact_observer.ros.base_node import BaseNode
@@ -27,10 +27,10 @@ class PlantSensors:
         node: BaseNode,
         measurements: Sequence[Measurement],
         system: Multibody,
-        sampling: Sampling,
+        rate: float,
         seed: int,
     ) -> None:
-        """Make a best-effort publisher for each of the ``measurements`` of a ``system``.
+        """Make a best-effort publisher for each of the ``measurements``, taken at a ``rate``, Hz.
 
         Raises:
             UsageError: by file and key, if a sensor cannot be simulated.
@@ -39,7 +39,7 @@ class PlantSensors:
             SampleSimulation,
             measurements,
             system,
-            sampling,
+            rate,
             seed,
             lambda kind: message_class(kind)(),
         )

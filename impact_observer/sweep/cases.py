@@ -17,7 +17,7 @@ from impact_observer.compare.comparison import compare_replicas
 from impact_observer.compare.metrics import METRICS
 from impact_observer.errors import ImpactObserverError, ModelError, UsageError
 from impact_observer.io.pairing import samples_of
-from impact_observer.io.simulated_samples import SampleSimulation, Sampling, samples_of_run
+from impact_observer.io.simulated_samples import SampleSimulation, samples_of_run
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parametric_family, with_unit
 from impact_observer.model.measurement import Measurement
@@ -124,7 +124,8 @@ class Sweep:
         for number in range(0, self.size, self.size // len(self.laws)):
             options = self._case(number)[0]
             make_observer(parsed(self.models[0][0]), options, measurements=self.measurements)
-        SampleSimulation(self.measurements, system, Sampling(), self.seed)
+        if self.measurements:
+            SampleSimulation(self.measurements, system, self.rate, self.seed)
 
     @property
     def blocks(self) -> list[range]:
@@ -213,7 +214,7 @@ class Sweep:
     def _alike(self, block: range) -> list[list[int]]:
         """The cases of a block, those with equal events together if the law has replicas."""
         options, sensor, _, _ = self._case(block[0])
-        is_exact = not (sensor.faults or parsed(self.model).sensors.by_contact)
+        is_exact = not (sensor.faults or parsed(self.model).sensors)
         has_replicas = issubclass(law_named(options.law), ReplicaLaw)
         if is_exact and has_replicas and not self.measurements:
             return [[*block]]
@@ -234,8 +235,7 @@ class Sweep:
         events = sorted((each.event for each in sensed), key=lambda e: (e.stamp, e.sequence))
         samples = list[SensorSample]()
         if self.measurements:
-            sampling = Sampling(rate=self.rate)
-            simulation = SampleSimulation(self.measurements, system, sampling, seed)
+            simulation = SampleSimulation(self.measurements, system, self.rate, seed)
             samples = samples_of_run(simulation, run)
         observer = make_observer(parsed(model), options, measurements=self.measurements)
         starts = [self._case(number)[0].initial_state for number in cases]

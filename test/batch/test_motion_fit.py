@@ -19,7 +19,6 @@ from impact_observer.model.contact_sensors import (
     NO_SENSORS,
     ContactErrors,
     ContactSensor,
-    ContactSensors,
 )
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options
@@ -174,7 +173,7 @@ def test_each_contact_has_a_clock_of_its_own() -> None:
         replace(each, sequence=k)
         for k, each in enumerate(sorted(moved, key=lambda each: each.stamp), start=1)
     ]
-    sensors = ContactSensors(tuple((name, ContactSensor(jitter[name])) for name in jitter))
+    sensors = {name: ContactSensor(each) for name, each in jitter.items()}
     family = parametric_family(model.system, ("restitution", "latency"), model.elements)
     found = identify(family, moved, sensors=sensors)
     assert found.verdict.fits

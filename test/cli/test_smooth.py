@@ -15,7 +15,6 @@ from impact_observer.events import Ruling
 from impact_observer.io.messages import read_stamp
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import impact_estimates
-from impact_observer.io.state_arrays import deviations_in
 from impact_observer.resources import shared
 
 
@@ -224,11 +223,11 @@ def test_shifts_above_the_declared_clock_error_are_warned_of_and_counted(
     said = capsys.readouterr().out
     assert ("warning" in said) is is_warned
     with BagReader(tmp_path / "out") as reader:
-        (_, states), *_ = reader.blocks(["/smoother/state"], covariance=True)
+        states = reader.observer_states("/smoother/state")
         truth = reader.joint_states("/plant/joint_states")
         messages = [message for _, message in reader.messages("/smoother/state")]
     assert any(each.synchronized for each in messages) != is_warned
-    within = np.abs(states.q - truth.q) <= 2 * deviations_in(states)[:, :2]
+    within = np.abs(states.q - truth.q) <= 2 * states.deviations[:, :2]
     assert np.mean(within) > 0.9
 
 

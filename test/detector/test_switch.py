@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from signals import MS, START, Scalar, detections, events, every, sampled, switch
 from systems import examples, sample
 
-from impact_observer.detector import Detection, Detector
+from impact_observer.detector import Detection, Detector, Source
 from impact_observer.detector.sensors import MAX_DELAY
 from impact_observer.events import Kind
 from impact_observer.plant import Plant, simulate
@@ -32,23 +32,55 @@ def at(milliseconds: float) -> int:
     return START + round(milliseconds * MS)
 
 
-def test_a_short_closure_is_a_single_impact_at_its_edge() -> None:
-    """The impact is detected at once, with the edge's own stamp."""
-    detected = detections(switch(), changes(10, 15, 400, 405), at(1000))
-    assert events(detected) == [(at(10), Kind.IMPACT), (at(400), Kind.IMPACT)]
-    assert [d.decided for d in detected] == [at(10), at(400)]
+FORCE = [9.9, 10.0, 7.0, 6.0, 12.0, 5.9, 9.0]
+IMPACT, CLOSE, OPEN = Kind
+CLOSURES: dict[str, tuple[Source, Changes, list[tuple[float, Kind]]]] = {
+    "short": (switch(), changes(10, 15, 400, 405), [(10, IMPACT), (400, IMPACT)]),
+    "long": (
+        switch(),
+        [*changes(10), (at(60), 1.0), (at(90), 1.0), (at(200), 0.0)],
+        [(10, IMPACT), (10, CLOSE), (200, OPEN)],
+    ),
+    "closed from the first message on, where the gap is zero": (
+        switch(),
+        [(at(0), 1.0), (at(100), 1.0)],
+        [(0, IMPACT), (0, CLOSE)],
+    ),
+    "without a least duration": (
+        switch(min_contact_duration=0.0),
+        changes(10, 20, 30, 31),
+        [(10, CLOSE), (20, OPEN), (30, CLOSE), (31, OPEN)],
+    ),
+    "a level at the end of the dead time": (
+        switch(min_contact_duration=0.02),
+        changes(0, 50, 53),
+        [(0, IMPACT), (0, CLOSE), (50, OPEN), (53, IMPACT), (53, CLOSE)],
+    ),
+    "a force with hysteresis, closed from 10 N on and open below 6 N": (
+        switch(kind="switch", threshold=10.0, hysteresis=4.0),
+        sampled(every(100 * MS, 7), np.array(FORCE)),
+        [(100, IMPACT), (100, CLOSE), (500, OPEN)],
+    ),
+}
+"""A switch, its changes, and the events at so many milliseconds."""
 
 
-def test_a_long_closure_is_closed_since_its_edge_until_it_opens() -> None:
-    """The CLOSE has the stamp of the IMPACT before it, and the next sequence number."""
-    detected = detections(switch(), [*changes(10), (at(60), 1.0), (at(90), 1.0), (at(200), 0.0)])
-    assert events(detected) == [
-        (at(10), Kind.IMPACT),
-        (at(10), Kind.CLOSE),
-        (at(200), Kind.OPEN),
-    ]
-    assert [d.event.sequence for d in detected] == [1, 2, 3]
-    assert detected[1].decided == at(60)
+@pytest.mark.parametrize("name", CLOSURES)
+def test_a_closure_is_an_impact_or_lasting_contact_by_its_length(name: str) -> None:
+    """Events have the stamps of their edges and follow each other in number."""
+    source, signal, wanted = CLOSURES[name]
+    detected = detections(source, signal, at(1000))
+    assert events(detected) == [(at(t), kind) for t, kind in wanted]
+    assert [d.event.sequence for d in detected] == [*range(1, len(wanted) + 1)]
+
+
+def test_an_event_is_decided_as_soon_as_it_is_certain() -> None:
+    """An impact at once, lasting contact at its least duration, an edge after the dead time."""
+    for name, decided in (("short", [10, 400]), ("long", [10, 60, 200])):
+        source, signal, _ = CLOSURES[name]
+        assert [d.decided for d in detections(source, signal)] == [*map(at, decided)]
+    source, signal, _ = CLOSURES["a level at the end of the dead time"]
+    assert detections(source, signal, at(200))[3].decided == at(55) + MAX_DELAY
 
 
 def test_a_switch_without_messages_while_closed_is_a_persistent_contact() -> None:
@@ -60,13 +92,6 @@ def test_a_switch_without_messages_while_closed_is_a_persistent_contact() -> Non
     assert events(detected) == [(at(10), Kind.CLOSE)]
     assert detected[0].decided == at(60) + MAX_DELAY
     assert events(detector.feed(0, Scalar(0.0), at(600))) == [(at(600), Kind.OPEN)]
-
-
-def test_without_a_least_duration_every_edge_closes() -> None:
-    """CLOSE comes at the rising edge, OPEN at the falling edge."""
-    detected = detections(switch(min_contact_duration=0.0), changes(10, 20, 30, 31), at(100))
-    kinds = [Kind.CLOSE, Kind.OPEN] * 2
-    assert events(detected) == list(zip(map(at, (10, 20, 30, 31)), kinds, strict=True))
 
 
 def test_a_normally_closed_switch_opens_at_a_hit() -> None:
@@ -84,14 +109,8 @@ def test_releases_no_longer_than_the_dead_time_are_counted() -> None:
         detector.advance(stamp)
         detector.feed(0, Scalar(value), stamp)
     detector.advance(at(5000))
-    assert detector.dead_times[0].short_releases == 1
+    assert detector.counts[0].short_releases == 1
     assert detector.counts[0].impacts == 3
-
-
-def test_a_switch_that_begins_closed_has_closed_at_its_first_message() -> None:
-    """The gap is zero there in any case."""
-    detected = detections(switch(), [(START, 1.0), (at(100), 1.0)])
-    assert events(detected) == [(START, Kind.IMPACT), (START, Kind.CLOSE)]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -103,31 +122,6 @@ def test_chatter_of_closing_and_of_opening_is_one_edge_each(seed: int) -> None:
     detected = detections(switch(), [*signal, (at(500), 0.0)], at(600))
     assert [kind for _, kind in events(detected)] == [Kind.IMPACT, Kind.CLOSE, Kind.OPEN]
     assert [stamp for stamp, _ in events(detected)] == [at(10), at(10), signal[13][0]]
-
-
-def test_the_level_at_the_end_of_the_dead_time_has_the_stamp_of_its_edge() -> None:
-    """An impact just after an opening is detected late, with its own stamp."""
-    detected = detections(switch(min_contact_duration=0.02), changes(0, 50, 53), at(200))
-    assert events(detected) == [
-        (at(0), Kind.IMPACT),
-        (at(0), Kind.CLOSE),
-        (at(50), Kind.OPEN),
-        (at(53), Kind.IMPACT),
-        (at(53), Kind.CLOSE),
-    ]
-    assert detected[3].decided == at(55) + MAX_DELAY
-
-
-def test_a_force_may_be_a_switch_with_hysteresis() -> None:
-    """The contact is closed from ten newtons on, and open below six."""
-    source = switch(kind="switch", threshold=10.0, hysteresis=4.0)
-    force = [9.9, 10.0, 7.0, 6.0, 12.0, 5.9, 9.0]
-    detected = detections(source, sampled(every(100 * MS, 7), np.array(force)))
-    assert events(detected) == [
-        (at(100), Kind.IMPACT),
-        (at(100), Kind.CLOSE),
-        (at(500), Kind.OPEN),
-    ]
 
 
 @pytest.mark.parametrize("rate", [0, 100, pytest.param(1000, marks=pytest.mark.slow)])

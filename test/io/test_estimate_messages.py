@@ -2,6 +2,7 @@
 """Messages of estimates and verdicts, and the order of their log times."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
-from impact_observer.events import Ruling, Verdict
-from impact_observer.io import interfaces
+from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
+from impact_observer.io import BagReader, BagWriter, interfaces
 from impact_observer.io.messages import MessageError, read_estimate, read_joint_state
-from impact_observer.io.observed_bag import in_log_order, messages_of
+from impact_observer.io.observed_bag import in_log_order, messages_of, sample_stamps
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate, Estimates
@@ -66,6 +67,15 @@ def test_stamp_that_no_message_carries_is_refused() -> None:
     estimate = replace(estimates(1, 2).first, stamp=2**62)
     with pytest.raises(MessageError, match=r"header\.stamp is 4611686018"):
         list(messages_of(estimate, ("x1", "x2"), serialize))
+
+
+def test_a_truth_without_a_state_ends_no_estimates(tmp_path: Path) -> None:
+    """The topic was recorded and nothing came: estimates go on to the last event."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.declare("/plant/joint_states")
+    events = [ImpactEvent(stamp * NS_PER_S, (Switch("stop"),), stamp) for stamp in (1, 3)]
+    with BagReader(tmp_path / "bag") as reader:
+        assert sample_stamps(reader, events, 1.0, 0).tolist() == [k * NS_PER_S for k in (1, 2, 3)]
 
 
 @examples(60)

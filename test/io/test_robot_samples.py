@@ -13,7 +13,6 @@ from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in
 from impact_observer.io.recordings import model_of as model_in
-from impact_observer.io.state_arrays import ObserverStates, joined
 from impact_observer.plant import random_plant
 from impact_observer.robots.robot import Robot
 
@@ -99,14 +98,11 @@ def test_observer_follows_the_truth_of_a_bag(bag: Path, tmp_path: Path) -> None:
     assert main([*words.split(), "--clock-error", "1e-6", "-o", str(made)]) == 0
     with BagReader(made) as reader:
         truth = reader.joint_states(interfaces.PLANT_JOINT_STATES.topic)
-        topics = [interfaces.OBSERVER_STATES.topic]
-        found = joined(block for _, block in reader.blocks(topics, covariance=True))
+        found = reader.observer_states(interfaces.OBSERVER_STATES.topic)
         hits = np.array([each.stamp for each in events_in(reader)])
-    assert isinstance(found, ObserverStates)
     assert hits.size
     assert np.array_equal(found.stamps, truth.stamps)
-    z = np.hstack([found.q - truth.q, found.u - truth.u])
-    z /= np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    z = (found.x - truth.x) / found.deviations
     since = (truth.stamps[:, None] - hits).astype(float)
     settled = ~np.any((since > -1e6) & (since < 3e6), axis=1)  # the jump is within a sample
     assert np.percentile(np.abs(z[settled]), 99) < 4

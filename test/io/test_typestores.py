@@ -28,12 +28,6 @@ def test_definition_in_idl_is_read() -> None:
     assert typestores.parse_definition(text, "rig/msg/A").keys() == {"rig/msg/A"}
 
 
-def test_text_that_is_no_definition_is_one_line() -> None:
-    """The error names the type."""
-    with pytest.raises(BagError, match=r"definition of rig/msg/A cannot be parsed"):
-        typestores.parse_definition("?!", "rig/msg/A")
-
-
 def test_installed_definition_brings_its_parts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -136,67 +136,6 @@ def test_text_of_a_model_reads_back_to_equal_numbers(text: str, tmp_path: Path) 
     np.testing.assert_array_equal(one, two)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line"),
-    [
-        (
-            "between: [table, x1], s",
-            "between: [tabel, x1], s",
-            "springs[0].between[0]: 'tabel' is",
-        ),
-        (
-            "ground: wall",
-            "ground: walls",
-            "stops[1].ground",
-        ),
-        ("name: wall", "name: table", "grounds[1].name: 'table' is taken already"),
-        ("name: wall", "name: x1", "grounds[1].name: 'x1' is taken already"),
-        ("name: wall", "name: ground", "grounds[1].name: 'ground' is taken already"),
-        ("frequency: 3,", "frequency: 0,", "grounds[0].motion.harmonics[0].frequency"),
-        ("{harmonics: [{a", "{harmonic: [{a", "grounds[0].motion.harmonic: is not known here"),
-        ("motion: {sampled", "motion: {harmonics: [], sampled", "grounds[1].motion"),
-        ("\\n-1,0", "\\n1,0", "grounds[1].motion.sampled"),
-        ("time,dis", "time,mis", "grounds[1].motion.sampled: its table: column 'misplacement'"),
-        (
-            "[table, x1], gap",
-            "[table, wall], gap",
-            "stops[0].direction",
-        ),
-        (
-            "between: [table, x1], gap: 0.5",
-            "body: x2, limit: -2, side: below",
-            "stops[1]",
-        ),
-    ],
-)
-def test_mistake_is_one_line_that_names_the_key(old: str, new: str, line: str) -> None:
-    """With what was found and what is wanted."""
-    assert old in ELEMENTS
-    with pytest.raises(ModelError) as caught:
-        parse_model(ELEMENTS.replace(old, new, 1), "m")
-    assert len(str(caught.value).splitlines()) == 1
-    assert line.split(";", maxsplit=1)[0] in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "line"),
-    [
-        ("{ground: table,", "{ground: tale,", "contacts[0].motion[0].ground: 'tale' is not a gro"),
-        (
-            "name: wall, stiff",
-            "name: hall, stiff",
-            "forcing.grounds[1].name: 'hall' is not a grou",
-        ),
-        ("stiffness: [0, 5]", "stiffness: [5]", "forcing.grounds[1].stiffness: 1 values found"),
-    ],
-)
-def test_mistake_in_matrices_is_one_line(old: str, new: str, line: str) -> None:
-    """The same for the other form."""
-    with pytest.raises(ModelError) as caught:
-        parse_model(MATRICES.replace(old, new, 1), "m")
-    assert line in str(caught.value)
-
-
 def test_start_inside_a_moving_stop_is_one_line() -> None:
     """The gap is that at the epoch, where the table is at 0.1 cos 0.4."""
     start = "initial_state: {position: [-0.41, 0], velocity: [0, 0]}\n"
@@ -218,14 +157,6 @@ def test_a_start_inside_a_stop_names_what_is_usually_wrong() -> None:
         ModelError, match=r"initial_state.position: .* sign of direction, .* units"
     ):
         parse_model(turned, "m")
-
-
-def test_grounds_of_another_system_are_refused() -> None:
-    """A system cannot get another mass while it keeps the forces of the old frame."""
-    system = parse_model(ELEMENTS, "m").system
-    with pytest.raises(ModelError, match="grounds"):
-        System("s", system.coordinates, 2 * system.M, system.C, system.K, system.forcing,
-               system.contacts, system.frame)  # fmt: skip
 
 
 def test_amplitude_and_phase_of_a_ground_are_parameters() -> None:

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
-from impact_observer.errors import ModelError
 from impact_observer.model import parse_model
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
@@ -41,29 +40,6 @@ def test_power_law_survives_the_text_of_its_model() -> None:
     own = model.system.contacts[0].rebound
     assert own is not None
     np.testing.assert_array_equal(again.restitution_at(speeds), own.restitution_at(speeds))
-
-
-@pytest.mark.parametrize(
-    ("curve", "line"),
-    [
-        ("{value: 1.2, speed: 1, exponent: 0}", "value: 1.2 found"),
-        ("{value: 0.5, speed: 0, exponent: 0}", "speed: 0.0 found"),
-        ("{value: 0.5, speed: 1, exponent: 0.1}", "exponent: 0.1 found"),
-        ("{value: 0.5, speed: 1, exponent: -1}", "exponent: -1.0 found"),
-        ("{value: 0.5, speed: 1, exponent: 0, limit: 1}", "limit: 1.0 found"),
-        ("{value: 0.5, speed: 1}", "exponent: is missing"),
-        ("{value: 0.5, velocity: 1}", "velocity: is not known here; expected one of value"),
-        ("[0.5]", "[0.5] found; expected a number"),
-    ],
-)
-def test_mistake_in_a_curve_is_one_line(curve: str, line: str) -> None:
-    """The line names the file, the key and what is expected."""
-    with pytest.raises(ModelError) as caught:
-        parse_model(TEXT.replace("CURVE", curve), "my.yaml")
-    text = str(caught.value)
-    assert text.startswith("my.yaml: stops[0].restitution")
-    assert line in text
-    assert "\n" not in text
 
 
 @examples(100)

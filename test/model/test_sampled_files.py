@@ -96,59 +96,6 @@ def test_mistake_in_the_file_is_one_line(csv: str | bytes, problem: str, tmp_pat
     assert problem in line
 
 
-@pytest.mark.parametrize(
-    ("form", "forcing", "line"),
-    [
-        (MATRICES, "{sampled: none.csv, hold: linear}", "forcing.sampled: names the file "),
-        (MATRICES, "{sampled: forces.csv}", "forcing.hold: is missing"),
-        (
-            MATRICES,
-            "{sampled: forces.csv, hold: cubic}",
-            "forcing.hold",
-        ),
-        (MATRICES, "{hold: linear}", "forcing.hold: stands without sampled"),
-        (MATRICES, "{sampled: 3, hold: linear}", "forcing.sampled"),
-        (MATRICES, "{constant: [1, 2], hold: linear}", "forcing.hold: stands without sampled"),
-        (
-            MATRICES,
-            "{sampled: {time: [0, 1], force: [[1, 2]]}, hold: linear}",
-            "forcing.sampled.force: 1 rows found",
-        ),
-        (
-            MATRICES,
-            "{sampled: {time: [0, 1], force: [[1, 2], [1]]}, hold: linear}",
-            "forcing.sampled.force[1]",
-        ),
-        (
-            MATRICES,
-            "{sampled: {time: [0, x], force: [[1, 2], [1, 2]]}, hold: linear}",
-            "forcing.sampled.time[1]",
-        ),
-        (
-            MATRICES,
-            "{sampled: {time: 7, force: [[1, 2], [1, 2]]}, hold: linear}",
-            "forcing.sampled.time: 7 found",
-        ),
-        (
-            MATRICES,
-            '{sampled: "time,x1,x2\\n0,1,2\\n1,a,2\\n", hold: linear}',
-            "forcing.sampled",
-        ),
-        (ELEMENTS, "{constant: [1, 2]}", "forcing.constant"),
-        (ELEMENTS, "{hold: linear}", "forcing.sampled: is missing"),
-    ],
-)
-def test_mistake_in_the_model_is_one_line(
-    form: str, forcing: str, line: str, tmp_path: Path
-) -> None:
-    """The line names the key and what is expected, in both forms."""
-    lines = [f"forcing: {forcing}" if "sampled" in row else row for row in form.splitlines()]
-    with pytest.raises(ModelError) as caught:
-        read(tmp_path, CSV, "\n".join(lines))
-    assert len(str(caught.value).splitlines()) == 1
-    assert str(caught.value).startswith(f"{tmp_path / 'model.yaml'}: {line}")
-
-
 @pytest.mark.parametrize("form", ["matrices", "elements"])
 def test_samples_add_to_constants_and_harmonics(form: str, tmp_path: Path) -> None:
     """They name only the coordinates that they drive, and survive the text of the model."""

@@ -109,34 +109,8 @@ def test_a_deviation_of_another_force_stays_with_it() -> None:
     assert known.names == ("forcing-amplitude.1",)
 
 
-@pytest.mark.parametrize(
-    ("text", "wrong", "key"),
-    [
-        (ELEMENTS.replace("shape: square", "shape: saw"), "'saw' found", "forces[0].shape"),
-        (ELEMENTS.replace("hertz: 19", "hertz: 0"), "0 found", "forces[0].hertz"),
-        (
-            ELEMENTS.replace("amplitude: 50", "amplitude: {value: 50, deviation: 1}"),
-            "deviation",
-            "forces[0].amplitude",
-        ),
-        (ELEMENTS.replace("amplitude: 50, ", ""), "missing", "forces[0].amplitude"),
-        (MATRICES.replace("hertz: 19", "frequency: -1"), "-1 found", "squares[0].frequency"),
-        (MATRICES.replace("[50, 0]", "[50]"), "2 numbers", "squares[0].amplitude"),
-    ],
-)
-def test_mistakes_are_one_line(text: str, wrong: str, key: str) -> None:
-    """Which names the key."""
-    with pytest.raises(ModelError) as error:
-        parse_model(text, "model")
-    assert key in str(error.value)
-    assert wrong in str(error.value)
-    assert "\n" not in str(error.value)
-
-
 def test_waves_of_a_system_of_another_size_are_refused() -> None:
-    """Also from Python, with a frequency that is not positive."""
+    """The forcing has a force of each coordinate."""
     zero = np.zeros((0, 2))
     with pytest.raises(ModelError, match=r"forcing.squares.amplitude: .*expected 2"):
         Forcing(np.zeros(2), np.zeros(0), zero, zero, squares=waves((1.0, 0.0, 1.0))).checked(2)
-    with pytest.raises(ModelError, match=r"forcing.squares\[0\].frequency: is -1"):
-        waves((-1.0, 0.0, 1.0))

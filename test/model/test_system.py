@@ -75,7 +75,7 @@ def test_harmonics_without_amplitude_do_not_depend_on_time() -> None:
             {"K": [["a", "b"], ["c", "d"]]},
             "stiffness",
         ),
-        ({"K": [[1.0], [2.0, 3.0]]}, "stiffness: is not made of numbers only"),
+        ({"K": [[1.0], [2.0, 3.0]]}, "stiffness"),
         ({"C": np.full((2, 2), np.inf)}, r"damping\[0\]\[0\]: is not finite"),
         ({"M": np.array([[1, 0.5], [0, 1]])}, r"mass: is not symmetric: \[0\]\[1\] is 0.5 but"),
         ({"M": np.ones((2, 2))}, "mass: is not positive definite"),
@@ -92,15 +92,15 @@ def test_harmonics_without_amplitude_do_not_depend_on_time() -> None:
         ({"forcing": Forcing.none(3)}, "forcing.constant"),
         (
             {"forcing": Forcing(np.zeros(2), np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)))},
-            r"forcing.harmonics\[0\].frequency",
+            "forcing.harmonics.frequency",
         ),
         (
             {"forcing": Forcing(np.zeros(2), np.ones(1), np.zeros((1, 3)), np.zeros((1, 2)))},
-            r"forcing.harmonics\[0\].cosine",
+            "forcing.harmonics.cosine",
         ),
         (
             {"forcing": Forcing(np.zeros(2), np.ones(1), np.zeros((1, 2)), np.zeros((2, 2)))},
-            "forcing.harmonics: 2 rows of sine for 1 frequencies",
+            "forcing.harmonics.sine",
         ),
     ],
 )

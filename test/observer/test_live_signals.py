@@ -98,7 +98,7 @@ def test_sensors_beside_live_forces_see_what_the_plant_does() -> None:
     system = parse_model(RIG, "rig").system
     sensors = (
         Measurement("x1", "/x1", "x1", "position", deviation=0.01),
-        Measurement("a", "/a", field="a", acceleration=(("x2", 1.0),), deviation=0.5),
+        Measurement("a", "/a", field="a", acceleration={"x2": 1.0}, deviation=0.5),
     )
     some = np.arange(10, stamps.size - 10, 10)
     dt = (stamps[some + 1] - stamps[some - 1]) / NS_PER_S

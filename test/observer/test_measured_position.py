@@ -154,7 +154,7 @@ def test_samples_that_are_no_position_of_one_joint_are_left_out_with_the_reason(
             "sum",
             "/sum",
             field="data",
-            position=(("shoulder", 1.0), ("elbow", 1.0)),
+            position={"shoulder": 1.0, "elbow": 1.0},
             deviation=0.1,
         ),
     ]
@@ -170,7 +170,7 @@ def test_turns_and_scale_of_an_encoder_count() -> None:
     robot = Robot(hammer())
     first, _ = encoders_of(robot)
     geared = Measurement(
-        "gear", "/gear", field="data", position=(("elbow", 2.0),), offset=0.1, deviation=0.1
+        "gear", "/gear", field="data", position={"elbow": 2.0}, offset=0.1, deviation=0.1
     )
     observer = observer_of(robot, np.array([0.3, 0.8]), np.zeros(2), [first, geared])
     stamp = EPOCH + 10**6

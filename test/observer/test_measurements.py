@@ -145,7 +145,7 @@ def test_between_impacts_it_is_the_textbook_kalman_filter(declared: Uncertainty)
     sensors = [
         encoder(),
         encoder("x2", name="speed", quantity="velocity", deviation=0.05, offset=0.2),
-        Measurement("imu", "/imu", field="a", acceleration=(("x1", 2.0),), deviation=0.4),
+        Measurement("imu", "/imu", field="a", acceleration={"x1": 2.0}, deviation=0.4),
     ]
     lower = -inverse @ np.hstack([model.K, model.C])
     H = np.vstack([np.eye(2 * n)[0], np.eye(2 * n)[n + 1], 2 * lower[0]])

@@ -87,7 +87,7 @@ def test_samples_count_that_came_before_the_epoch_of_the_events() -> None:
         "/joints",
         joint="hammer",
         quantity="position",
-        position=(("hammer", 1.0),),
+        position={"hammer": 1.0},
         deviation=0.01,
     )
     options = Options("minimum-variance", "random:1", epoch=0, clock_error=0.0)

@@ -24,7 +24,7 @@ H = 10_000
 def imu(*terms: tuple[str, float], **others: object) -> Measurement:
     """An accelerometer."""
     given = {"field": "a", "deviation": 0.1, **others}
-    return Measurement("imu", "/imu", acceleration=terms, **given)  # type: ignore[arg-type]
+    return Measurement("imu", "/imu", acceleration=dict(terms), **given)  # type: ignore[arg-type]
 
 
 def states(model: System, start: tuple[object, object], stamps: list[int]) -> Run:
@@ -89,8 +89,8 @@ def test_positions_speeds_and_gaps_follow_moving_grounds() -> None:
         declared = Measurement("a", "/a", field="a", deviation=0, **what)  # type: ignore[arg-type]
         return value(declared, model.system, stamp - EPOCH, framed)
 
-    assert measured(position=((name, 1.0),)) == pytest.approx(x[0], abs=1e-12)
-    assert measured(velocity=((name, 3.0),)) == pytest.approx(3 * x[1], abs=1e-12)
+    assert measured(position={name: 1.0}) == pytest.approx(x[0], abs=1e-12)
+    assert measured(velocity={name: 3.0}) == pytest.approx(3 * x[1], abs=1e-12)
     gap = model.system.gap(x[:1])[0] + model.system.gap_motion(ns)[0, 0]
     assert measured(gap=model.system.contact_names[0]) == pytest.approx(gap, abs=1e-12)
 

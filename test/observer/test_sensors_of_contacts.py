@@ -8,7 +8,7 @@ from systems import EPOCH, run, sample
 
 from impact_observer.events import Ruling
 from impact_observer.model import Model
-from impact_observer.model.contact_sensors import ContactSensor, ContactSensors
+from impact_observer.model.contact_sensors import ContactSensor
 from impact_observer.observer import Observer, make_observer
 from impact_observer.options import Options
 from impact_observer.plant import Run
@@ -19,7 +19,7 @@ def three_mass(**sensors: ContactSensor | None) -> tuple[Model, Run]:
     """Three masses with these sensors, and 40 s of their motion."""
     model = sample("three_mass")
     whole = run(model.system, *model.initial_state(), seconds=40.0, rate=10.0)
-    return replace(model, sensors=ContactSensors(tuple(sensors.items()))), whole
+    return replace(model, sensors=sensors), whole
 
 
 def watching(model: Model) -> Observer:

@@ -89,7 +89,7 @@ def test_deviations_of_the_motion_of_a_ground_are_considered(kind: str) -> None:
 @pytest.mark.slow
 def test_samples_of_absolute_positions_agree_with_a_phase_that_is_learned() -> None:
     """An encoder that stands on the floor: nearly all of its samples are accepted."""
-    encoder = Measurement("e", "/e", field="data", position=(("x", 1.0),), deviation=1e-3)
+    encoder = Measurement("e", "/e", field="data", position={"x": 1.0}, deviation=1e-3)
     options = Options(
         "minimum-variance", clock_error=1e-5, estimate_parameters=("ground-phase=0.1",)
     )

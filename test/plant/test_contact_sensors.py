@@ -35,7 +35,7 @@ NAMES = THREE.contact_names
 
 def own(**sensors: ContactSensor | None) -> ContactSensors:
     """Sensors by contact."""
-    return ContactSensors(tuple(sensors.items()))
+    return sensors
 
 
 def sent(
@@ -73,7 +73,7 @@ def test_each_contact_has_its_own_clock_and_latency() -> None:
         errors = errors_of(name, found)
         assert errors.size == MANY
         assert stats.kstest((errors - mean) / deviation, "norm").pvalue > LEAST
-    plain = sent(sensor, switchings, ContactSensors())
+    plain = sent(sensor, switchings, {})
     np.testing.assert_array_equal(errors_of("c3", found), errors_of("c3", plain))
 
 
@@ -124,9 +124,7 @@ def test_ideal_sensors_of_contacts_report_as_one() -> None:
     """Contacts that hit at once are in one message where their sensors say one instant."""
     switchings = [switching(1.0, [(0, Kind.IMPACT), (1, Kind.CLOSE), (2, Kind.IMPACT)])]
     ideal = own(c1=ContactSensor(latency=0.0), c2=ContactSensor(clock_error=0.0))
-    assert sent(SensorModel(), switchings, ideal) == sent(
-        SensorModel(), switchings, ContactSensors()
-    )
+    assert sent(SensorModel(), switchings, ideal) == sent(SensorModel(), switchings, {})
     late = sent(SensorModel(), switchings, own(c2=ContactSensor(latency=0.01)))
     shown = [(each.event.sequence, each.event.stamp, each.event.switches) for each in late]
     stamp = EPOCH + NS_PER_S

@@ -3,9 +3,11 @@
 
 ``ball`` falls through air, with a drag that is quadratic, onto a racket whose restitution falls
 with the speed; its model has a damper instead, and does not fit. ``shaker`` is a mass on a spring
-that is shaken against a stop, with times of five digits. Both were integrated by DOP853.
+that is shaken against a stop, with times of five digits. ``tapper`` hits a stop once a period, and
+each hit has a restitution of its own. All were integrated by DOP853.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,18 @@ def test_a_ball_in_air_has_right_speeds_though_its_model_does_not_fit(tmp_path: 
 def test_a_shaken_mass_with_printed_times_fits_at_an_unknown_phase(tmp_path: Path) -> None:
     """Rounding to five digits is no evidence against a right model."""
     assert fitted("shaker", RIGS / "shaker.yaml", times_of("shaker"), tmp_path) == (0, 1.0)
+
+
+def test_rebounds_that_scatter_do_not_shrink_a_motion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The times tell the restitution, and not how large force, gap and speeds are."""
+    assert fitted("tapper", RIGS / "tapper.yaml", times_of("tapper"), tmp_path) == (0, 1.0)
+    told = capsys.readouterr().out
+    (amplitude,) = re.findall(r"amplitude\S* \S+ \+- (\S+)", told)
+    (restitution,) = re.findall(r"restitution\S* (\S+) \+-", told)
+    assert float(amplitude) > 0.9 * 0.15
+    assert abs(float(restitution) - 0.72) < 0.15
 
 
 @pytest.mark.parametrize("again", ["same", "other"])

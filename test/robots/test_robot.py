@@ -262,7 +262,6 @@ def test_a_link_without_mass_is_an_error_that_names_its_joint() -> None:
     ("old", "new", "fault"),
     [
         ('ixx="', 'ixx="q', "inertia element ixx is not a valid double"),
-        ('<mass value="', '<mass value="q', r"mass \[q1\.0\] is not a float"),
         ('xyz="', 'xyz="1 ', "Parser found 4 elements but 3 expected"),
     ],
 )
@@ -280,6 +279,7 @@ def test_what_the_parser_of_a_urdf_prints_is_the_error(
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
+        ('<mass value="', '<mass value="q', r"link '\w+': value='q[\d.]+'"),
         ('<mass value="', '<mass value="-', r"link '\w+' has a mass of -[\d.]+ kg"),
         ('<axis xyz="[^"]*"', '<axis xyz="0 0 0.0"', r"joint 'hinge' has the axis '0 0 0.0'"),
         ('<axis xyz="[^"]*"', '<axis xyz="1e200 0 0"', r"joint 'hinge' has the axis '1e200 0 0'"),

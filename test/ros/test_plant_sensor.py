@@ -13,11 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from impact_observer.io import interfaces
-from impact_observer.io.simulated_samples import (
-    SampleSimulation,
-    Sampling,
-    samples_of_run,
-)
+from impact_observer.io.simulated_samples import SampleSimulation, samples_of_run
 from impact_observer.model import parse_model, read_model
 from impact_observer.model.measurement import read_measurements
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
@@ -125,8 +121,7 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
             assert process.returncode == 0, process.communicate()
         spinner.settle()
     model, last = read_model("two_mass"), EPOCH + 2 * NS_PER_S
-    sampling = Sampling(rate=20.0)
-    simulation = SampleSimulation(read_measurements("encoder"), model.system, sampling, 3)
+    simulation = SampleSimulation(read_measurements("encoder"), model.system, 20.0, 3)
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, simulation.stamps(EPOCH, last))
     wanted = {each.stamp: each.value for each in samples_of_run(simulation, run)}

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from impact_observer.model.document import Share, Value, converted
+from impact_observer.model.document import Share, converted
 from impact_observer.model.rebounds.rebound_law import ReboundLaw, ReboundParameter
 from impact_observer.states import Vector
 
@@ -35,14 +35,10 @@ class ConstantRestitution(ReboundLaw):
             return None
         return cls(converted(restitution, Share, key))
 
-    def checked(self, key: str) -> "ConstantRestitution":
-        """The same law with a checked coefficient."""
-        return ConstantRestitution(converted(self.restitution, Share, f"{key}.restitution"))
-
     @property
-    def document(self) -> dict[str, Value]:
-        """The key ``restitution`` with a number."""
-        return {"restitution": self.restitution}
+    def written(self) -> float:
+        """``eps``."""
+        return float(self.restitution)
 
     @property
     def nominal(self) -> float:

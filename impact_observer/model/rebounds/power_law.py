@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from impact_observer.model.document import Keys, Positive, Share, Value, converted
+from impact_observer.model.document import Keys, Positive, Share, converted
 from impact_observer.model.rebounds.rebound_law import (
     ReboundLaw,
     ReboundParameter,
@@ -56,18 +56,10 @@ class PowerLaw(ReboundLaw):
         numbers = converted(restitution, _Numbers, key)
         return cls(numbers.value, numbers.speed, numbers.exponent, numbers.limit)
 
-    def checked(self, key: str) -> "PowerLaw":
-        """The same law with checked numbers."""
-        return PowerLaw.read(f"{key}.restitution", self._numbers)
-
     @property
-    def _numbers(self) -> dict[str, float]:
-        return {name: getattr(self, name) for name in ("value", "speed", "exponent", "limit")}
-
-    @property
-    def document(self) -> dict[str, Value]:
-        """The key ``restitution`` with its numbers by name."""
-        return {"restitution": self._numbers}
+    def written(self) -> dict[str, float]:
+        """All numbers by name."""
+        return {name: float(getattr(self, name)) for name in _Numbers.__struct_fields__}
 
     @property
     def nominal(self) -> float:

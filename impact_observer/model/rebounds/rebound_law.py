@@ -13,7 +13,6 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from impact_observer.model.document import Value
 from impact_observer.states import Vector
 
 
@@ -60,23 +59,25 @@ class ReboundLaw(ABC):
             ModelError: a value is wrong; the error names the key and the expected value.
         """
 
+    @property
     @abstractmethod
+    def written(self) -> float | dict[str, float]:
+        """The restitution of a contact in a model file from which ``read`` makes this law."""
+
+    @property
+    @abstractmethod
+    def nominal(self) -> float:
+        """A usual coefficient of restitution, where no speed is known."""
+
     def checked(self, key: str) -> "ReboundLaw":
         """The same law with checked numbers; ``key`` is the contact's in the model file.
 
         Raises:
             ModelError: a number is wrong.
         """
-
-    @property
-    @abstractmethod
-    def document(self) -> dict[str, Value]:
-        """The keys of a contact in a model file from which ``read`` makes this law."""
-
-    @property
-    @abstractmethod
-    def nominal(self) -> float:
-        """A usual coefficient of restitution, where no speed is known."""
+        law = self.read(f"{key}.restitution", self.written)
+        assert law is not None, "it reads what it writes"
+        return law
 
     @property
     def is_nonexpansive(self) -> bool:

@@ -177,8 +177,9 @@ def test_value_and_exponent_are_identified_and_written_back() -> None:
     assert found.verdict.fits
     np.testing.assert_allclose(found.values, [0.7, -0.25], rtol=1e-4)
     for text in (model.text(), replace(model, form={}).text()):
-        document = load_yaml(text)
-        written = edited(text, changes(document, family, np.array([0.6, -0.1])))  # type: ignore[arg-type]
+        document, places = load_yaml(text), parse_model(text, "given").places
+        entries = changes(document, places, family, np.array([0.6, -0.1]))  # type: ignore[arg-type]
+        written = edited(text, entries)
         curve = parse_model(written, "fitted").system.contacts[0].rebound
         assert curve == PowerLaw(0.6, 1.0, -0.1, 0.9)
 
