@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from systems import EPOCH, sample
 
 from impact_observer import Options, make_observer
+from impact_observer.errors import UsageError
 from impact_observer.model import Model, System
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
@@ -153,3 +154,12 @@ def test_a_deviation_of_zero_means_exact() -> None:
     motion = np.sqrt(np.mean(run.states**2, axis=0))
     deviations = np.sqrt(np.diag(added)) / motion
     assert np.all((deviations > 1e-6) & (deviations < 1e-4))
+
+
+def test_a_scale_is_not_estimated_beside_a_considered_part() -> None:
+    """The error names both."""
+    model = sample("two_mass")
+    names = ("stiffness.ground-x1",)
+    own = replace(model, uncertainty=ParameterUncertainty(names, np.array([[0.01]])))
+    with pytest.raises(UsageError, match="stiffness-scale"):
+        make_observer(own, Options("minimum-variance", estimate_parameters=("stiffness-scale",)))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from systems import EPOCH, run, sample
 
+from impact_observer.batch.smoothing import smoothed_runs
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings, rejected_impacts
 from impact_observer.observer import Options, make_observer, replay
 from impact_observer.plant import Run, SensorModel, simulate_sensor
@@ -62,3 +63,13 @@ def test_hits_in_a_declared_dead_time_are_no_misfit(jitter: float) -> None:
     z = np.abs(errors / deviations)[half:]
     assert np.mean(z < 2.0) > 0.9
     assert np.max(np.abs(errors[half:])) < max(0.02 * jitter / 1e-3, 1e-8)
+
+
+@pytest.mark.long
+def test_a_smoothed_recording_knows_the_dead_time() -> None:
+    """Impacts that the sensor could not report are inserted, and the model fits."""
+    _, events = recorded(1e-3)
+    (motion,) = smoothed_runs(sample("two_mass").system, events, declared(DEAD, 1e-3))
+    inserted = sum(not each.is_measured for each in motion.fit.problem.moments.each)
+    assert inserted >= 20
+    assert not motion.misfit

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an observer estimates of each impact: against the jumps of the plant."""
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,7 +17,9 @@ from impact_observer.events import (
     Ruling,
     Switch,
     Verdict,
+    rejected_impacts,
 )
+from impact_observer.events import final_rulings as final
 from impact_observer.model import Model, System, parse_model
 from impact_observer.observer import make_observer, replay_batches
 from impact_observer.observer.replay import Impacts, noting_impacts
@@ -104,6 +106,28 @@ def test_a_missed_impact_is_estimated_where_it_is_inserted() -> None:
     assert abs(inserted.stamp - left_out.stamp) < 1000
     assert np.all(np.abs(values[0] - truth) < 1e-6)
     assert np.all(deviations < 1e-3)
+
+
+def test_every_reported_impact_has_one_estimate_or_is_rejected() -> None:
+    """Of a sensor with missed and false impacts; rejected ones have no numbers."""
+    model = sample("two_mass")
+    plant = run(model.system, *model.initial_state(), seconds=30)
+    sensor = SensorModel(jitter=1e-3, missed=0.15, spurious=0.2)
+    events = reported(model.system, plant, 1, sensor)
+    found, verdicts = noted(model, events, clock_error=1e-3)
+    rejected = rejected_impacts(final(verdicts), events)
+    assert rejected
+    assert {each[4:] for each in rejected} == {(0.0,) * 4 + (-1.0,) * 4}
+    applied = [key[:2] for key, each in found.items() if each.ruling is Ruling.APPLIED]
+    rows = Counter([*applied, *((each.stamp, each.sequence) for each in rejected)])
+    assert rows == Counter((each.stamp, each.sequence) for each in events)
+
+
+def test_openings_that_are_rejected_are_no_impacts() -> None:
+    """A release has no row, whatever becomes of it."""
+    event = ImpactEvent(EPOCH, (Switch("a", Kind.OPEN), Switch("b", Kind.CLOSE)), 1)
+    ruled = {(EPOCH, 1, name): Ruling.REJECTED for name in "ab"}
+    assert rejected_impacts(ruled, [event]) == [ImpactEstimate(EPOCH, "b", Ruling.REJECTED, 1)]
 
 
 def test_an_impact_that_is_rejected_has_an_estimate_without_numbers() -> None:

@@ -9,11 +9,21 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from systems import (
     EPOCH,
+    distance,
+    examples,
+    moving_systems,
+    passes_eigenvalue_test,
     sample,
+    switched,
+    switchings,
     system,
+    systems,
+    vectors,
 )
 
 from impact_observer.cli.main import main
@@ -250,3 +260,67 @@ def test_unknown_law_is_one_line_with_the_existing_ones(monkeypatch: pytest.Monk
     install(monkeypatch, a_mirror="x:y")
     with pytest.raises(UsageError, match="law 'geo'"):
         law_named("geo")
+
+
+def rounding(*states: Array) -> float:
+    """Rounding error of V at large states."""
+    return 1e-13 * max(float(np.max(np.abs(x))) for x in states) ** 2
+
+
+@pytest.mark.slow
+@CORRECTING
+@examples(20)
+@given(st.data())
+def test_distance_of_two_replicas_never_rises_under_any_switching(
+    law: type[ReplicaLaw], data: st.DataObject
+) -> None:
+    """Without a plant: random instants and contacts, pulses and intervals, K singular or not."""
+    model = data.draw(st.one_of(*(each(contacts=(1, 3)) for each in (systems, moving_systems))))
+    assume(passes_eigenvalue_test(model))
+    replica, t = law(model), data.draw(st.integers(0, 3)) / 2
+    states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
+    last = distance(model, *states)
+    tolerance = 1e-10 * (1 + last)
+    for found, _ in switched(replica, states, data.draw(switchings(model.m)), t):
+        now = distance(model, *found)
+        assert now <= last + tolerance + rounding(*found)
+        last = now
+
+
+@pytest.mark.slow
+@CORRECTING
+@examples(8)
+@given(st.data())
+def test_distance_of_a_replica_to_its_plant_never_rises(
+    law: type[ReplicaLaw], data: st.DataObject
+) -> None:
+    """Under the true switching, at the true instants: V falls in every phase and every jump."""
+    kinds = [each(contacts=(1, 3), gaps=(0.0, 1.0)) for each in (systems, moving_systems)]
+    model = data.draw(st.one_of(*kinds))
+    assume(passes_eigenvalue_test(model))
+    x = np.concatenate([data.draw(vectors(model.n, -0.5, 0.5)), data.draw(vectors(model.n))])
+    assume(np.all(model.gap(x[: model.n]) >= 0))
+    switchings = switchings_of(model, x, seconds=5.0)
+    assume(switchings)
+    replica, t = law(model), 0.0
+    y = replica.admissible(data.draw(vectors(2 * model.n)))
+    first = last = distance(model, x, y)
+    closed: tuple[int, ...] = ()
+    for switching in switchings:
+        until = -switching.instant.until(EPOCH)
+        y = replica.motion(t, y, closed).state(until - t)
+        size = 1e-9 * (first + 1e-3) + 1e-12 * float(np.max(np.abs(y))) ** 2
+        before = distance(model, switching.before, y)
+        assert before <= last + size
+        closed, true = switching.closed, switching.before
+        if switching.contacts:
+            try:
+                y = replica.impact(y, switching.contacts, closed)
+                true = Kinematic(model).impact(true, switching.contacts, closed)
+            except ImpactLawError:
+                assume(False)
+        # Where impacts accumulate the plant leaves out the last of them.
+        cut = distance(model, switching.after, true)
+        last = distance(model, switching.after, y)
+        assert last <= before + size + 2 * np.sqrt(cut * before) + cut
+        t = until

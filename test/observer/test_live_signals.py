@@ -21,7 +21,7 @@ from impact_observer.plant import Plant
 from impact_observer.stamps import NS_PER_S
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_plant_does_not_depend_on_how_samples_are_grouped() -> None:
     """To the bit: it goes no further than the samples, and what has been is final."""
     one = simulated()
@@ -91,7 +91,7 @@ def test_estimates_are_those_of_all_samples_whatever_came_when(law: str) -> None
     assert np.max(error[-1]) < (1e-6 if law == "minimum-variance" else 0.3)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_sensors_beside_live_forces_see_what_the_plant_does() -> None:
     """An encoder and an accelerometer on a moving ground; forces late, all else in any order."""
     events, stamps, states = simulated()

@@ -263,6 +263,22 @@ def test_the_order_of_arrival_does_not_change_a_bit() -> None:
         assert first.last_event == second.last_event
 
 
+def test_a_late_impact_acts_before_the_samples_after_it() -> None:
+    """An impact that arrives after seven later samples gives the estimate of the true order."""
+    model, whole = truth("two_mass", 3.0)
+    samples = measured(whole, np.eye(4)[:1], 1e-3)
+    first = whole.events[0]
+    before = [each for each in samples if each.stamp < first.stamp]
+    upto = samples[: len(before) + 7]
+    observer = watcher(model, LAW, whole.states[0], [encoder()])
+    fed(observer, [], upto)
+    observer.receive(first)
+    same = watcher(model, LAW, whole.states[0], [encoder()])
+    fed(same, [first], upto)
+    stamp = upto[-1].stamp
+    np.testing.assert_array_equal(x_of(observer, stamp), x_of(same, stamp))
+
+
 def test_an_event_is_the_last_one_whatever_is_measured_after_it() -> None:
     """``last_event`` and ``last_sequence`` are those of events, late counts only events."""
     observer, events, samples = rig(LAW)

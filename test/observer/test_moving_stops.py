@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from systems import EPOCH, examples, observer, run, systems, vectors
+from systems import EPOCH, estimates, examples, observer, run, systems, vectors
 
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.model import System, parse_model
@@ -36,6 +36,24 @@ def between(model: System, one: Array, two: Array) -> float:
     """V of two states."""
     q, u = np.split(one - two, 2)
     return float(distance(model, q, u))
+
+
+@pytest.mark.parametrize(
+    "law", ["kinematic", "geometric", pytest.param("unilateral", marks=pytest.mark.slow)]
+)
+def test_laws_converge_on_moving_stops(law: str) -> None:
+    """What is published are the coordinates, not those of the frame: the error vanishes."""
+    system = parse_model(RIG, "rig").system
+    plant = run(system, [0.1, 0.0], [0.0, 0.5], seconds=60.0, rate=20.0)
+    assert len(plant.impacts) > 30
+    watcher = observer(system, law, [0.3, -0.2, 0.5, -0.5], epoch=EPOCH, history=100.0)
+    for event in plant.events:
+        watcher.receive(event)
+    found = np.concatenate([each.x for each in watcher.estimates(plant.stamps)])
+    q, u = np.split(found - plant.states, 2, axis=1)
+    V = distance(system, q, u)
+    assert V[-1] < 1e-4 * V[0]
+    np.testing.assert_array_equal(found[::100], estimates(watcher, plant.stamps[::100]))
 
 
 @pytest.mark.slow

@@ -86,6 +86,21 @@ def test_open_loop_is_the_flow_without_contact() -> None:
         np.testing.assert_allclose(state(watcher, seconds), motion.state(seconds), atol=1e-12)
 
 
+@pytest.mark.slow
+def test_geometric_observer_of_a_ball_finds_its_height() -> None:
+    """K = 0: each bounce determines the height exactly, and the speed converges with eps."""
+    model, truth = sample("bouncing_ball").system, true_run("bouncing_ball", 7.5)
+    watcher = observer(model, "geometric", [3.0, -2.0])
+    rulings_of(watcher, truth)
+    error = np.abs(estimates(watcher, truth.stamps) - truth.states)
+    assert error[0].tolist() == [2.0, 2.0]
+    bounce = np.searchsorted(truth.stamps, truth.impacts[0].instant.stamp)
+    assert error[bounce, 0] < 0.05
+    assert np.all(error[-1] < 2.5 * 0.9 ** len(truth.impacts))
+    V = distances(model, watcher, truth)
+    assert np.max(np.diff(V)) <= 1e-9 * V[0]
+
+
 def test_order_of_arrival_does_not_decide_where_a_late_observer_starts() -> None:
     """Events 4, 5 and 6 in any order: the initial state holds at the earliest stamp."""
     events = [event(0.5 * k, "stop", sequence=k) for k in (4, 5, 6)]
@@ -179,6 +194,15 @@ def test_unknown_contact_gets_a_verdict_and_the_others_are_applied() -> None:
     assert state(with_it, 2.0) == state(without, 2.0)
 
 
+def test_event_with_unknown_contacts_only_is_not_missing() -> None:
+    """It was received, without effect."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
+    watcher.receive(event(1.0, "wall", sequence=1))
+    watcher.receive(event(2.0, "stop", sequence=2))
+    assert watcher.missing == 0
+    assert watcher.last_event == EPOCH + 2 * NS_PER_S
+
+
 def test_event_before_the_kept_history_is_too_late() -> None:
     """Beyond the history, or before the epoch; the reason says where the past begins."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH, history=2.0)
@@ -192,6 +216,19 @@ def test_event_before_the_kept_history_is_too_late() -> None:
     assert state(watcher, 9.0) == before
     assert watcher.receive(event(6.5, "stop"))[0].ruling is Ruling.APPLIED
     assert state(watcher, 9.0) != before
+
+
+def test_event_of_an_old_episode_is_rejected() -> None:
+    """One that arrives after the sender's reset."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
+    watcher.receive(event(1.0, "stop", sequence=1, episode=3))
+    before = state(watcher, 2.0)
+    verdict = watcher.receive(event(1.5, "stop", sequence=9, episode=2))[0]
+    assert (verdict.ruling, verdict.reason) == (
+        Ruling.REJECTED,
+        "episode 2 of epoch 5.000000000 s is older than episode 3 of epoch 5.000000000 s",
+    )
+    assert state(watcher, 2.0) == before
 
 
 @pytest.mark.parametrize(
@@ -213,6 +250,19 @@ def test_new_episode_or_epoch_restarts_the_observer(change: dict[str, int]) -> N
     assert used.missing == 0
     for seconds in (3.0, 5.2, 6.0):
         assert state(used, seconds) == state(fresh, seconds)
+
+
+def test_lost_events_are_counted() -> None:
+    """Between the first and the last number received; late ones are subtracted."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
+    for sequence in (3, 4, 8):
+        watcher.receive(event(float(sequence), "stop", sequence=sequence))
+    assert watcher.missing == 3
+    watcher.receive(event(5.0, "stop", sequence=5))
+    watcher.receive(event(2.0, "stop", sequence=2))
+    assert watcher.missing == 2
+    watcher.receive(event(2.0, "stop", sequence=2))
+    assert watcher.missing == 2
 
 
 @pytest.mark.slow
@@ -326,6 +376,13 @@ def test_restart_clears_all_events() -> None:
         assert watcher.receive(event(1.0, "stop", sequence=1))[0].ruling is Ruling.APPLIED
     assert state(used, 3.0) == state(fresh, 3.0)
     assert used.missing == 0
+
+
+@pytest.mark.parametrize("history", [0.0, -1.0, float("nan")])
+def test_history_must_be_positive(history: float) -> None:
+    """The error has the value."""
+    with pytest.raises(UsageError, match="history"):
+        observer(TWO_MASS, "geometric", np.zeros(4), history=history)
 
 
 def test_initial_state_must_fit_the_system() -> None:

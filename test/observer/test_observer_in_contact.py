@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contacts that stay closed: CLOSE, OPEN, and the motion in between."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -17,9 +19,10 @@ from systems import (
     system,
 )
 
-from impact_observer.events import Kind, Ruling
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
 from impact_observer.observer import ReplicaLaw
+from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -31,10 +34,25 @@ TABLE = system(
 """A body on a shaking table that throws it, in the frame of the table."""
 
 
+@cache
+def pressed() -> Run:
+    """A run of ``PRESSED`` from rest."""
+    return run(PRESSED, [0.0, 0.0], [0.0, 0.0], seconds=11.5, rate=50.0)
+
+
 def gap_and_speed(model: System, states: Array) -> tuple[Array, Array]:
     """Gaps and contact speeds, shape (samples, m)."""
     q, u = states[:, : model.n], states[:, model.n :]
     return q @ model.W + model.q_r, u @ model.W
+
+
+def test_sample_run_closes_and_opens_both_contacts() -> None:
+    """Several times, also together."""
+    kinds = [(s.contact, s.kind) for each in pressed().events for s in each.switches]
+    for contact in ("c1", "c2"):
+        assert kinds.count((contact, Kind.CLOSE)) >= 2
+        assert kinds.count((contact, Kind.OPEN)) >= 2
+    assert any(len(switching.closed) == 2 for switching in pressed().switchings)
 
 
 @pytest.mark.slow
@@ -132,6 +150,16 @@ def test_state_set_from_outside_leaves_contacts_closed(law: str) -> None:
         assert PRESSED.gap(now.q)[0] == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(next_one.q, now.q, atol=1e-8)
     np.testing.assert_allclose(next_one.u, now.u, atol=1e-7)
+
+
+def test_new_episode_begins_with_all_contacts_open() -> None:
+    """Contacts closed in the episode before do not count."""
+    watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
+    watcher.receive(switching(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    epoch = EPOCH + 10 * NS_PER_S
+    for k in (1, 2):
+        watcher.receive(ImpactEvent(epoch + k * NS_PER_S // 2, (Switch("c2"),), k, 1, epoch))
+    assert watcher.estimate(epoch + 2 * NS_PER_S).closed == ()
 
 
 @pytest.mark.parametrize(

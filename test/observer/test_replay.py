@@ -66,6 +66,12 @@ def test_verdicts_on_jittered_stamps_are_plain() -> None:
     assert estimates[-1].closed == ("c2",)
 
 
+def test_events_missing_from_the_recording_are_counted() -> None:
+    """By their numbers."""
+    found, _, _ = replayed([event(0.1 * k, "c1", sequence=k) for k in (1, 2, 5, 6)])
+    assert found.missing == 2
+
+
 @examples(12)
 @given(
     st.lists(st.integers(1, 600), min_size=1, max_size=12),

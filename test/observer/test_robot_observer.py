@@ -253,6 +253,15 @@ def test_what_an_observer_of_a_robot_cannot_do_is_said_in_one_line(
     assert "\n" not in str(error.value)
 
 
+def test_considered_restitution_is_named() -> None:
+    """The deviation of the sample's restitution counts, as an error of the state."""
+    observer = make_observer(read_model("hammer_arm"), DECLARED, measurements=encoders(MODEL))
+    unknowns = observer.law.uncertainty.unknowns
+    assert unknowns is not None
+    assert unknowns.family.names == ("restitution.wall",)
+    assert unknowns.considered == (True,)
+
+
 def test_an_estimate_goes_on_without_encoders_at_a_bounded_cost() -> None:
     """The estimate is the same once the past is forgotten, and begins at the history's end."""
     options = replace(DECLARED, epoch=0, history=0.25)
@@ -291,3 +300,26 @@ def test_a_backlog_is_worked_off_by_a_bounded_number_of_steps(
     last = observer.estimate(int(stamps[-1]))
     errors = np.concatenate([last.q, last.u]) - recording.truth.states[-1]
     assert np.all(np.abs(errors) < 4 * np.sqrt(np.diag(last.covariance)))
+
+
+def test_encoders_of_a_stamp_are_used_together_whichever_comes_first() -> None:
+    """One after the other, together, and with other stamps: the same in every bit."""
+    recording = recorded(seed=6, seconds=0.1)
+    alone, paired, whole, swapped = (observer_of(MODEL, recording) for _ in range(4))
+    samples = recording.samples
+    pairs = [samples[i : i + 2] for i in range(0, len(samples), 2)]
+    for pair in pairs:
+        alone.measure(pair[:1])
+        alone.measure(pair[1:])
+        swapped.measure(pair[1:])
+        swapped.measure(pair[:1])
+        paired.measure(pair)
+    whole.measure(samples)
+    stamp = int(recording.truth.stamps[-1])
+    expected = paired.estimate(stamp)
+    for each in (alone, whole, swapped):
+        found = each.estimate(stamp)
+        assert np.array_equal(found.q, expected.q)
+        assert np.array_equal(found.u, expected.u)
+        assert np.array_equal(found.covariance, expected.covariance)
+        assert each.samples.counts[1]["accepted"] == len(pairs)

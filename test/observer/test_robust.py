@@ -25,7 +25,7 @@ from systems import (
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
-from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
+from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
@@ -126,6 +126,34 @@ def test_faulty_sensor_costs_little(
     assert left(name, 24.0, sensor, declared, seed=1) < bound
 
 
+def closed_at(whole: Run, stamp: int) -> tuple[str, ...]:
+    """Contacts of a plant that are closed, as an ideal sensor reports them."""
+    closed: set[str] = set()
+    for each in whole.events:
+        if each.stamp <= stamp:
+            for switch in each.switches:
+                (closed.add if switch.kind is Kind.CLOSE else closed.discard)(switch.contact)
+    return tuple(sorted(closed))
+
+
+@pytest.mark.slow
+def test_unreported_persistent_contact_is_inserted() -> None:
+    """The sensor reports impacts only: every CLOSE and OPEN is inserted."""
+    model, _, whole = truth("pressed", 7.0)
+    kinds = {switch.kind for each in whole.events for switch in each.switches}
+    assert kinds == set(Kind)
+    watcher = watching(model, np.random.default_rng(0).normal(size=4), EXACT)
+    for each in reported("pressed", 7.0, SensorModel(impacts_only=True)):
+        watcher.receive(each.event)
+    until = int(np.searchsorted(whole.stamps, EPOCH + 4 * NS_PER_S))
+    stamps = whole.stamps[30:until]
+    differences = estimates(watcher, stamps) - whole.states[30:until]
+    assert np.max(np.abs(differences)) < 1e-7
+    resting = [closed_at(whole, stamp) for stamp in stamps.tolist()]
+    closed = [watcher.estimate(stamp).closed for stamp in stamps.tolist()]
+    assert closed == resting
+
+
 def locked(count: int, *spurious: float, **uncertainty: float) -> Observer:
     """An observer of two_mass after ``count`` impacts and some spurious events."""
     model, start, whole = truth("two_mass", 30.0)
@@ -157,6 +185,17 @@ def test_missed_impact_is_inserted_before_the_next_event(spurious: tuple[float, 
         assert np.all(np.abs(differences) <= 5 * deviations + 1e-13)
         if not spurious:
             assert np.max(deviations) < 1e-7
+
+
+def between_stops() -> tuple[System, Run]:
+    """Four masses in a row, each between two stops, and what they do in 21 s."""
+    way, n = np.arange(1, 5) / 10, 4
+    sides = [(-sign * np.eye(n)[i], way[i], 0.6) for i in range(n) for sign in (1, -1)]
+    row = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    row[-1, -1] = 1.0
+    push = forcing(n, 0.0, [Harmonic(2.5, [0.0, 10.0, 0, 0], [0.0] * n)])
+    model = system(np.eye(n), 0.1 * row, 10 * row, contacts=sides, force=push)
+    return model, run(model, np.zeros(n), np.zeros(n), seconds=21.0, rate=1000.0)
 
 
 def far_off(
@@ -196,6 +235,37 @@ def test_masses_without_springs_do_not_come_to_rest_in_a_corner() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_motion_that_no_impact_shows_does_not_run_away(seed: int) -> None:
+    """All masses together. The covariance is widened often, the estimate stays near the motion."""
+    n = 5
+    stops = [(-np.eye(n)[i] + np.eye(n)[i + 1], 0.01, 0.5) for i in range(n - 1)]
+    ends = [np.eye(n)[0], 0.65 * np.eye(n)[-1]]
+    waves = [Harmonic(w, [*2 * each], [0.0] * n) for w, each in zip((2.5, 3.7), ends, strict=True)]
+    model = system(
+        np.eye(n), 0.05 * np.eye(n), 10 * np.eye(n), contacts=stops, force=forcing(n, 0.0, waves)
+    )
+    whole = run(model, -0.5 * np.eye(n)[0], np.zeros(n), seconds=20.0, rate=20.0)
+    messages = simulate_sensor(
+        SensorModel(missed=0.1, spurious=0.1),
+        model,
+        whole.switchings,
+        epoch=EPOCH,
+        last=int(whole.stamps[-1]),
+        seed=seed,
+    )
+    watcher = make_observer(model, Options("minimum-variance", "zero", epoch=EPOCH, history=1e4))
+    for each in sorted((each.event for each in messages), key=lambda each: each.stamp):
+        watcher.receive(each)
+    off = []
+    for stamp, x in zip(whole.stamps[100:], whole.states[100:], strict=True):
+        now = watcher.estimate(int(stamp))
+        error = np.abs(np.concatenate([now.q, now.u]) - x)
+        off.append(np.max(error / (np.sqrt(np.diag(now.covariance)) + 1e-3)) > 10)
+    assert np.mean(off) < 0.1
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_rig_of_half_a_millimetre_is_followed_from_a_start_that_is_off_by_a_metre(
     seed: int,
@@ -225,6 +295,51 @@ def test_a_rig_of_half_a_millimetre_is_followed_from_a_start_that_is_off_by_a_me
     for event_ in whole.events:
         exact.receive(event_)
     assert exact.estimate(int(whole.stamps[-1])).synchronized
+
+
+@pytest.mark.long
+def test_impacts_of_two_contacts_that_are_missed_come_in_their_order() -> None:
+    """Closer to each other than the samples in which gaps are searched."""
+    model, whole = between_stops()
+    stamps = [each.stamp for each in whole.events]
+    close = [i for i in range(60, len(stamps) - 2) if stamps[i + 1] - stamps[i] < NS_PER_S // 25]
+    for i in close:
+        watcher = watching(model, np.zeros(8), EXACT, ensemble=10)
+        for each in whole.events[:i]:
+            watcher.receive(each)
+        k = int(np.searchsorted(whole.stamps, (stamps[i + 1] + stamps[i + 2]) // 2))
+        assert watcher.estimate(stamps[i] - 1).synchronized
+        found = estimates(watcher, whole.stamps[[k]])[0]
+        np.testing.assert_allclose(found, whole.states[k], atol=1e-6)
+    assert len(close) > 5
+
+
+def test_a_silence_with_more_missed_impacts_than_are_inserted_is_not_synchronized() -> None:
+    """From then on deviations are as large as the motion, however long it lasts."""
+    model, start, whole = truth("two_mass", 30.0)
+    watcher, size = (
+        watching(model, start, EXACT, ensemble=10),
+        np.max(np.abs(whole.states), axis=0),
+    )
+    for each in whole.events[:13]:
+        watcher.receive(each)
+    assert watcher.estimate(whole.events[14].stamp).synchronized
+    for seconds in (40, 100, 1e4, 1e6):
+        now = watcher.estimate(EPOCH + round(seconds * NS_PER_S))
+        assert not now.synchronized
+        assert np.all(np.sqrt(np.diag(now.covariance)) > size / 2)
+        assert watcher.obstacle(now.stamp)
+
+
+@pytest.mark.long
+def test_a_jump_of_the_clock_by_an_hour_is_soon_found_hopeless() -> None:
+    """The hour is silence, and after three events the estimate is wide."""
+    watcher, hour = locked(13), 3600.0
+    assert watcher.silence(EPOCH + round(hour * NS_PER_S))
+    assert watcher.estimate(EPOCH + round(hour * NS_PER_S)).misfit
+    for k in range(3):
+        watcher.receive(event(hour + 2 * k, "stop", sequence=14 + k))
+    assert not watcher.estimate(EPOCH + round((hour + 5) * NS_PER_S)).synchronized
 
 
 def recovered(watcher: Observer, whole: Run, events: Sequence[ImpactEvent]) -> list[Verdict]:
@@ -277,6 +392,17 @@ def test_estimate_converges_again_after_the_plant_was_disturbed(seed: int, pause
     for each in before:
         assert all(verdict.ruling is Ruling.APPLIED for verdict in watcher.receive(each))
     assert explained(recovered(watcher, later, after))
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_wrong_set_state_with_tiny_deviation_is_corrected(seed: int) -> None:
+    """``set_state`` with a deviation of 1e-6 after the estimate has converged."""
+    _, _, whole = truth("two_mass", 30.0)
+    watcher = locked(10)
+    position, velocity = 0.7 * np.random.default_rng(seed).normal(size=(2, 2))
+    since, covariance = whole.events[9].stamp + 1000, 1e-12 * np.eye(4)
+    watcher.set_state(since, position, velocity, covariance)
+    assert explained(recovered(watcher, whole, whole.events[10:]))
 
 
 def learning(sensor: SensorModel, declared: dict[str, Any], seed: int = 0) -> tuple[Observer, int]:
@@ -394,6 +520,26 @@ def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: 
 def test_synchronized_is_never_wrong(sensor: SensorModel, declared: dict[str, Any]) -> None:
     """With missed, spurious, late and jittered events."""
     assert never_wrong("two_mass", sensor, declared, seed=1) > 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [3, 4])
+def test_echoes_of_most_hits_do_not_end_synchronization(seed: int) -> None:
+    """Seven of ten hits are reported again, 5 to 50 ms later: four in five samples have it."""
+    model, _, whole = truth("two_mass", 40.0)
+    rng, events = np.random.default_rng(seed), reported("two_mass", 40.0, SensorModel())
+    sent = [(each.event.stamp, each.event.switches[0]) for each in events]
+    for stamp, hit in [*sent]:
+        if rng.random() < 0.7:
+            sent.append((stamp + round(rng.uniform(5e-3, 5e-2) * NS_PER_S), hit))
+    watcher = make_observer(model, Options(law="minimum-variance", epoch=EPOCH))
+    later, flags, k = deque(sorted(sent)), [], 0
+    for stamp in whole.stamps[whole.stamps.size // 4 :].tolist():
+        while later and later[0][0] <= stamp:
+            (at, hit), k = later.popleft(), k + 1
+            watcher.receive(ImpactEvent(at, (hit,), k, 1, EPOCH))
+        flags.append(watcher.estimate(stamp).synchronized)
+    assert np.mean(flags) > 0.8
 
 
 def test_ideal_sensor_causes_no_revision_after_convergence() -> None:

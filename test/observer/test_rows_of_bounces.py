@@ -2,7 +2,6 @@
 """Rows of bounces: a debounced switch reports their first edges, and a force may be other."""
 
 import numpy as np
-import pytest
 from systems import press
 
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
@@ -74,7 +73,6 @@ def errors(found: list[Estimate], run: Run) -> tuple[Matrix, Matrix]:
     return states - run.states[-len(half) :], np.sqrt(variances)
 
 
-@pytest.mark.long
 def test_a_close_without_restitution_is_a_rest_at_once() -> None:
     """Nothing bounces on a plastic die, so that no CLOSE is taken for a first edge."""
     run = stroke(press(restitution=0.0).system, 0.0)

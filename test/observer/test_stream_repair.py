@@ -332,3 +332,78 @@ def test_events_received_together_have_the_effect_of_each(data: st.DataObject) -
     assert all(verdicts for _, verdicts in found)
     assert bits(together) == bits(alone)
     assert internal_state(together) == internal_state(alone)
+
+
+def test_events_without_sequence_numbers_are_ordered_by_stamp() -> None:
+    """Also among events with numbers."""
+    watcher = watcher_of("geometric", [switching(("c1", Kind.CLOSE), seconds=1.0, sequence=1)])
+    assert reasons(watcher.receive(switching(("c1", Kind.OPEN), seconds=1.5))) == [
+        (Ruling.APPLIED, "")
+    ]
+    late = switching(("c1", Kind.CLOSE), seconds=1.2)
+    assert reasons(watcher.receive(late)) == [(Ruling.APPLIED, "late: 1 event run again")]
+    assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ()
+
+
+@LAWS
+@pytest.mark.parametrize("numbered", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_close_replaces_the_impact_of_its_stamp(law: str, *, numbered: bool) -> None:
+    """In either order of arrival; an IMPACT of another contact is left."""
+    first = switching(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)
+    edge = switching(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2 * numbered)
+    between = switching(("c1", Kind.IMPACT), seconds=1.3, sequence=3 * numbered)
+    closing = switching(("c2", Kind.CLOSE), seconds=1.0, sequence=4 * numbered)
+    forth, back = watcher_of(law, [first, edge, between]), watcher_of(law, [first, closing])
+    assert reasons(forth.receive(closing)) == [(Ruling.APPLIED, "late: 1 event run again")]
+    other, void = back.receive(edge)
+    assert (other.ruling, void.ruling) == (Ruling.APPLIED, Ruling.REJECTED)
+    assert "CLOSE" in void.reason
+    assert void.innovation == -1.0
+    back.receive(between)
+    plain = watcher_of(law, [first, switching(("c1", Kind.IMPACT), seconds=1.0), closing, between])
+    assert bits(forth) == bits(back) == bits(plain)
+    assert forth.estimate(EPOCH + 2 * NS_PER_S).closed == ("c2",)
+
+
+def test_replacing_the_latest_event_is_not_late() -> None:
+    """IMPACT and CLOSE in a row, with one stamp."""
+    watcher = watcher_of("geometric", [event(1.0, "c1", sequence=5)], epoch=0)
+    closing = switching(("c1", Kind.CLOSE), seconds=1.0, sequence=6)
+    assert reasons(watcher.receive(closing)) == [(Ruling.APPLIED, "")]
+    assert watcher.receive(closing)[0].ruling is Ruling.DUPLICATE
+    assert not watcher.remarks[Remark.LATE]
+
+
+def test_impact_older_than_the_history_cannot_be_replaced() -> None:
+    """The CLOSE is too late: the state before the IMPACT is not kept."""
+    watcher = watcher_of("geometric", history=1.0)
+    for k, seconds in enumerate((0.5, 1.0, 2.1)):
+        watcher.receive(event(seconds, "c1", sequence=k + 1))
+    before = bits(watcher, [EPOCH + 3 * NS_PER_S])
+    verdict = watcher.receive(switching(("c1", Kind.CLOSE), seconds=1.0, sequence=4))[0]
+    assert verdict.ruling is Ruling.TOO_LATE
+    assert bits(watcher, [EPOCH + 3 * NS_PER_S]) == before
+
+
+def test_events_that_overtake_each_other_within_a_batch_end_as_in_order() -> None:
+    """A batch in reverse, among messages of older runs, gives the bits of the true order."""
+    events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k, episode=9) for k in range(1, 201)]
+    foreign = [event(0.01 * k, "c1", sequence=k, episode=k // 30) for k in (30, 60, 90)]
+    watcher = watcher_of("geometric", events[:1], ensemble=1)
+    batch = [foreign[0], *events[:0:-1], *foreign[1:]]
+    assert sum(map(len, watcher.receiving(batch))) == len(batch)
+    assert bits(watcher) == bits(watcher_of("geometric", events, ensemble=1))
+
+
+def test_a_flood_of_late_events_ends_as_in_order() -> None:
+    """The estimates are the earlier ones until all late events are applied."""
+    events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k) for k in range(1, 401)]
+    watcher = watcher_of("geometric", events[::2], ensemble=1)
+    stamp = EPOCH + 3 * NS_PER_S
+    before, seen = bits(watcher, [stamp]), 0
+    for judged in watcher.receiving(events[1::2][::-1]):
+        if not seen and not judged:
+            assert bits(watcher, [stamp]) == before
+        seen += len(judged)
+    assert seen == 200
+    assert bits(watcher) == bits(watcher_of("geometric", events, ensemble=1))

@@ -316,3 +316,13 @@ def test_estimate_that_is_not_finite_is_refused() -> None:
     with pytest.raises(DynamicsError, match="the estimate is not finite any more"):
         watcher.receive(TRUTH.events[0])
     assert np.all(np.isfinite(watcher.estimate(TRUTH.events[0].stamp).q))
+
+
+def test_refuted_bound_ends_synchronization() -> None:
+    """Replicas with too small a spread agree at once, but not with the plant."""
+    watcher = started(THREE_MASS.system, "geometric", random_start(5), deviation=1e-6)
+    distances(watcher)
+    last = watcher.estimate(int(TRUTH.stamps[-1]))
+    assert last.inconsistent
+    assert last.convergence < 1e-10
+    assert not last.synchronized

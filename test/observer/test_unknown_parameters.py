@@ -68,7 +68,7 @@ def bouncier(model: System, by: float) -> System:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 def test_wrong_stiffness_is_estimated_and_v_falls_below_its_floor(name: str) -> None:
     """Without the parameter, V stays at the floor of a stiffness error of 2 %."""
     model, true = sample(name).system, truth(name)
@@ -82,6 +82,24 @@ def test_wrong_stiffness_is_estimated_and_v_falls_below_its_floor(name: str) -> 
     ((name_, value, deviation),) = learning.estimate(int(true.stamps[-1])).parameters
     assert name_ == "stiffness-scale"
     assert abs(value - 1 / 1.02) < 4 * deviation < 1e-3
+
+
+@pytest.mark.parametrize("wrong", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
+def test_restitution_is_estimated_whether_it_is_wrong_or_right(
+    wrong: float,
+) -> None:
+    """V falls to the rounding of stamps, as with a known restitution."""
+    model, true = sample("two_mass").system, truth("two_mass", 30.0)
+    start = np.array([0.4, -0.3, 0.5, -0.6])
+    watcher = fed(
+        watching(bouncier(model, wrong), start, ["restitution"]),
+        true.events,
+    )
+    V = distances(watcher, model, true)
+    assert np.median(V[-50:]) < 1e-15 * V[0]
+    ((_, value, deviation),) = watcher.estimate(int(true.stamps[-1])).parameters
+    assert abs(value - 0.7) < 4 * deviation < 1e-8
+    assert watcher.estimate(int(true.stamps[-1])).synchronized
 
 
 @pytest.mark.slow
@@ -121,7 +139,7 @@ def test_gaps_are_estimated_where_contacts_rest() -> None:
     assert np.all(spread > 0.2 * late.parameters[0][2])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("free", ["restitution=0.1", "stiffness-scale=0.03"])
 def test_errors_of_parameters_agree_with_their_deviations(free: str) -> None:
     """The mean of the squared normalised errors over many starts is near one."""
