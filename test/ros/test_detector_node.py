@@ -34,7 +34,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in
 from impact_observer.io.typestores import typestore
 from impact_observer.ros.detector_node import DetectorNode
-from impact_observer.ros.player import Player, Playing
+from impact_observer.ros.player import Player
 from impact_observer.ros.recorder import Recorder
 from impact_observer.ros.session import ros_node
 from impact_observer.ros.topics import qos_profile, ros_messages
@@ -254,20 +254,21 @@ def test_the_node_publishes_the_events_that_detect_finds_in_a_recording_of_it(
     with BagWriter(tmp_path / "bag") as writer:
         recorder = Recorder(rig.spinner.probe, writer, ["imu"])
         imu = sensor.create_publisher(Imu, "imu", qos_profile(STATES))
-        rig.spinner.until(lambda: imu.get_subscription_count() == 2)
+        rig.spinner.until(lambda: recorder.take() or imu.get_subscription_count() == 2)
         rig.spinner.settle(0.5)
         start, value = time.time_ns(), 0.0
         changes = np.cumsum(random.choice([5, 8, 20, 45, 90, 130], 40)) * MS
         for change in changes.tolist():
             while time.time_ns() < start + change:
                 rig.spinner.executor.spin_once(timeout_sec=0.001)
+                recorder.take()
             value = 20.0 - value
             message = Imu()
             message.header.stamp = ros_messages().time(start + change)
             message.linear_acceleration.x = value
             imu.publish(message)
         rig.spinner.settle(0.5)
-        recorder.close()
+        recorder.drain()
     output = tmp_path / "out"
     found = ["--sources", str(sources), "--epoch", str(EPOCH // NS_PER_S)]
     assert recorder.counts == {"/imu": 40}
@@ -307,7 +308,7 @@ def test_a_bag_that_is_played_gives_the_events_that_detect_finds(
             ImpactEvent, "impacts", lambda m: received.append(read_event(m)), qos_profile(EVENTS)
         )
         with BagReader(bag) as reader, ros_node("player") as (node, _):
-            player = Player(node, reader, Playing(rate=0.3))
+            player = Player(node, reader, rate=0.3)
             assert player.wait_for_subscribers(PATIENCE)
             player.play()
             player.finish()
