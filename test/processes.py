@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 import rclpy
@@ -17,6 +17,7 @@ from rclpy.node import Node
 
 from impact_observer.ros import entry
 
+Hosted = TypeVar("Hosted", bound=Node)
 PATIENCE = 90.0
 """How long a process may take to do what a test waits for, s."""
 SHORT_WAIT = 0.005
@@ -139,3 +140,13 @@ def spinning(arguments: list[str] | None = None) -> Iterator[Spinner]:
             node.destroy_node()
         spinner.executor.shutdown()
         rclpy.shutdown()
+
+
+@contextlib.contextmanager
+def hosted(
+    make: Callable[[], Hosted], parameters: Mapping[str, object], *remappings: str
+) -> Iterator[tuple[Hosted, Spinner]]:
+    """A node in this process, beside the probe of a spinner."""
+    with spinning(ros_arguments(parameters, *remappings)) as spinner:
+        spinner.add(node := make())
+        yield node, spinner
