@@ -15,7 +15,7 @@ pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import ImpactEvent
-from processes import PATIENCE, Spinner, interrupt, refusal, ros_arguments, running_node, spinning
+from processes import PATIENCE, Spinner, interrupt, ros_arguments, running_node, spinning
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
@@ -332,26 +332,6 @@ def test_a_fast_sensor_does_not_outrun_the_node(rig: Rig) -> None:
     stamps = [event.stamp for event in rig.events]
     wanted = [EPOCH + (50 + 100 * k) * MS for k in range(20)]
     np.testing.assert_allclose(stamps, wanted, rtol=0, atol=0.02 * MS)
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({}, "parameter sources: is not set"),
-        ({"sources": "no.yaml"}, "no.yaml"),
-        ({"sources": "switch", "epoch": -1}, "parameter epoch"),
-    ],
-)
-def test_a_wrong_parameter_is_one_line_and_exit_code_2(
-    ros_environment: dict[str, str],
-    capfd: pytest.CaptureFixture[str],
-    given: dict[str, object],
-    expected: str,
-) -> None:
-    """The line names the parameter, the value and the values that are expected."""
-    assert ros_environment
-    arguments = ros_arguments(given)
-    assert expected in refusal("detector", arguments, capfd)
 
 
 def test_a_topic_that_is_not_what_was_declared_is_an_error_until_its_type_changes(

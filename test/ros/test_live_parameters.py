@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that are set while a node runs, by services that another process calls."""
+"""Parameters of a node, by services that others call."""
 
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,13 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 import yaml  # type: ignore[import-untyped]
-from processes import Spinner, ros_arguments, running_node, spinning
+from processes import Spinner, hosted, spinning
 from rcl_interfaces.msg import Parameter as Given
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.parameter import Parameter, parameter_value_to_python
+
+from impact_observer.ros.observer_node import ObserverNode
+from impact_observer.ros.plant_node import PlantNode
 
 pytestmark = pytest.mark.ros
 
@@ -43,23 +46,19 @@ def test_what_a_node_says_of_its_parameters_is_a_file_that_it_loads(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
     """With the read-only ones, and with a value that was set while the node ran."""
-    given = {"model": "two_mass", "law": "minimum-variance", "rate": 20}
-    plant = {"model": "two_mass", "sensor.jitter": 0.001}
-    with (
-        spinning() as spinner,
-        running_node("observer", ros_arguments(given), ros_environment),
-        running_node("plant", ros_arguments(plant), ros_environment),
-    ):
-        lag = Given(name="lag", value=Parameter("lag", value=0.25).get_parameter_value())
-        name = "observer/set_parameters_atomically"
-        answer = spinner.call(SetParametersAtomically, name, parameters=[lag])
-        assert answer.result.successful, answer.result.reason
-        said = {node: parameters_of(spinner, node) for node in ("observer", "plant")}
-    assert said["observer"]["lag"] == 0.25
-    with spinning() as spinner:
-        for node, parameters in said.items():
-            path = tmp_path / f"{node}.yaml"
-            path.write_text(file_of(parameters), encoding="utf-8")
-            arguments = ["--ros-args", "--params-file", str(path)]
-            with running_node(node, arguments, ros_environment):
-                assert parameters_of(spinner, node) == parameters
+    assert ros_environment
+    given = {"model": "two_mass", "law": "minimum-variance", "rate": 20, "sensor.jitter": 0.001}
+    for make, name in ((ObserverNode, "observer"), (PlantNode, "plant")):
+        with hosted(make, given) as (_, spinner):
+            if name == "observer":
+                lag = Given(name="lag", value=Parameter("lag", value=0.25).get_parameter_value())
+                service = "observer/set_parameters_atomically"
+                answer = spinner.call(SetParametersAtomically, service, parameters=[lag])
+                assert answer.result.successful, answer.result.reason
+            said = parameters_of(spinner, name)
+        assert said.get("lag") == (0.25 if name == "observer" else None)
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(file_of(said), encoding="utf-8")
+        with spinning(["--ros-args", "--params-file", str(path)]) as spinner:
+            spinner.add(make())
+            assert parameters_of(spinner, name) == said

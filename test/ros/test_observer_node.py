@@ -2,7 +2,7 @@
 """The observer node: estimates on topics, verdicts, services, diagnostics."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ pytest.importorskip("impact_observer_msgs")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import EventVerdict, ImpactEstimate, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
-from processes import Spinner, ros_arguments, running_node, spinning
+from processes import Spinner, ros_arguments, spinning
 from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -25,7 +25,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from impact_observer.cli.main import main
-from impact_observer.errors import DynamicsError, UsageError
+from impact_observer.errors import DynamicsError
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Kind, Remark, Ruling, Switch
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
@@ -581,17 +581,6 @@ def test_events_received_before_a_state_was_set_behind_a_lag_act_on_it(
         assert received[-1].last_sequence == 1
 
 
-def test_a_lag_beyond_the_history_is_refused(ros_environment: dict[str, str]) -> None:
-    """The observer keeps no state from before the history."""
-    assert ros_environment
-    wanted = "parameter lag"
-    with (
-        spinning(ros_arguments({**PARAMETERS, "lag": 3.0, "history": 2.0})),
-        pytest.raises(UsageError, match=wanted),
-    ):
-        ObserverNode()
-
-
 def test_every_fault_of_the_events_is_reported_and_counted(rig: Rig) -> None:
     """A fault is the reason of a verdict, and is counted in the diagnostics."""
     rig.tick(EPOCH + 90_000_000)
@@ -724,26 +713,18 @@ def test_persistent_contact_is_in_the_estimates_until_it_opens(
         assert_same(rig.estimates()[-1], wanted)
 
 
-def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str, str]) -> None:
+def test_an_observer_subscribes_to_impacts_and_pulses_only(
+    ros_environment: dict[str, str],
+) -> None:
     """The ROS graph shows impacts and pulses only: no ground truth goes into the observer."""
-    arguments = ros_arguments({"model": "two_mass", "use_sim_time": True})
-    with (
-        running_node("observer", arguments, ros_environment),
-        spinning() as spinner,
-    ):
-        probe = spinner.probe
-        spinner.until(lambda: "observer" in probe.get_node_names())
-        spinner.until(
-            lambda: any(
-                name == "/impacts"
-                for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")
-            )
-        )
+    assert ros_environment
+    with spinning(ros_arguments(PARAMETERS)) as spinner:
+        spinner.add(ObserverNode())
+        find = spinner.probe.get_subscriber_names_and_types_by_node
+        spinner.until(lambda: "/impacts" in dict(find("observer", "/")))
         spinner.settle(0.5)
-        received = {
-            name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")
-        }
-        assert received <= {"/impacts", "/phase_reference", "/clock", "/parameter_events"}
+        received = {name for name, _ in find("observer", "/")}
+    assert received <= {"/impacts", "/phase_reference", "/clock", "/parameter_events"}
 
 
 def test_events_that_contradict_what_was_declared_are_a_warning(
@@ -803,13 +784,6 @@ def test_the_end_of_a_misfit_is_logged_too(
     logged = "".join(capfd.readouterr())
     assert "[WARN]" in logged
     assert "the model explains the impacts again" in logged
-
-
-def refused(parameters: Mapping[str, object]) -> str:
-    """The error of a node that cannot start."""
-    with spinning(ros_arguments({**parameters})), pytest.raises(UsageError) as error:
-        ObserverNode()
-    return str(error.value)
 
 
 def test_events_that_wait_are_a_warning_until_the_node_has_caught_up(

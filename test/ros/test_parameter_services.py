@@ -2,7 +2,6 @@
 """Services of running nodes, called from this process: no request ends a node."""
 
 import random
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
@@ -12,7 +11,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from impact_observer_msgs.srv import SetState
-from processes import Spinner, interrupt, ros_arguments, running_node, spinning
+from processes import Spinner, hosted, interrupt, ros_arguments, running_node, spinning
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -28,6 +27,7 @@ from std_srvs.srv import Trigger
 from type_description_interfaces.srv import GetTypeDescription
 
 from impact_observer.ros.entry import NODES
+from impact_observer.ros.observer_node import ObserverNode
 
 pytestmark = pytest.mark.ros
 
@@ -99,23 +99,6 @@ def answers(spinner: Spinner, calls: list[tuple[Client, Any]]) -> list[Any]:
     return [each.result() for each in futures]
 
 
-@pytest.fixture
-def call(ros_environment: dict[str, str]) -> Any:  # noqa: ANN401
-    """Calls of services of a running observer, by name; the node must end in order."""
-    arguments = ros_arguments({"model": "two_mass", "initial_state": "'random:1'"})
-    with running_node("observer", arguments, ros_environment) as process, spinning() as spinner:
-        named = {each.srv_name: each for each in clients(spinner, "observer")}
-        for client in named.values():
-            spinner.until(client.service_is_ready)
-
-        def call_service(name: str, **fields: Any) -> Any:  # noqa: ANN401
-            client = named[f"observer/{name}"]
-            return answers(spinner, [(client, client.srv_type.Request(**fields))])[0]
-
-        yield call_service
-        assert interrupt(process)[0] == 0
-
-
 def test_no_request_ends_a_node(ros_environment: dict[str, str]) -> None:
     """A request that has no answer, as of an unknown type, leaves those after it theirs."""
     given = {"model": "two_mass"}
@@ -144,8 +127,9 @@ def test_no_request_ends_a_node(ros_environment: dict[str, str]) -> None:
             assert interrupt(process)[0] == 0, name
 
 
-def test_each_parameter_has_an_answer_of_its_own(call: Callable[..., Any]) -> None:
+def test_each_parameter_has_an_answer_of_its_own(ros_environment: dict[str, str]) -> None:
     """Values that can be used are set beside others, each of which is refused with its reason."""
+    assert ros_environment
     rate = ParameterValue(type=3, double_value=50.0)
     given = {
         "rate": rate,
@@ -153,14 +137,21 @@ def test_each_parameter_has_an_answer_of_its_own(call: Callable[..., Any]) -> No
         "law": ParameterValue(type=4, string_value="kinematic"),
         "lags": rate,
     }
-    results = call(
-        "set_parameters", parameters=[Parameter(name=n, value=v) for n, v in given.items()]
-    ).results
+    together = [Parameter(name="rate", value=ParameterValue(type=3, double_value=20.0))]
+    together.append(Parameter(name="lag", value=ParameterValue(type=3, double_value=1e6)))
+    with hosted(ObserverNode, {"model": "two_mass"}) as (_, spinner):
+        parameters = [Parameter(name=name, value=value) for name, value in given.items()]
+        results = spinner.call(
+            SetParameters, "observer/set_parameters", parameters=parameters
+        ).results
+        answer = spinner.call(
+            SetParametersAtomically, "observer/set_parameters_atomically", parameters=together
+        )
+        found = spinner.call(
+            GetParameters, "observer/get_parameters", names=["rate", "lag"]
+        ).values
     assert [each.successful for each in results] == [True, False, False, False]
     assert "lag" in results[1].reason
     assert "read-only" in results[2].reason
-    together = [Parameter(name="rate", value=ParameterValue(type=3, double_value=20.0))]
-    together.append(Parameter(name="lag", value=ParameterValue(type=3, double_value=1e6)))
-    assert "history" in call("set_parameters_atomically", parameters=together).result.reason
-    found = call("get_parameters", names=["rate", "lag"]).values
+    assert "history" in answer.result.reason
     assert [each.double_value for each in found] == [50.0, 0.0]

@@ -11,11 +11,13 @@ from pathlib import Path
 
 from impact_observer_msgs.msg import ImpactEvent
 from live_rig import RIG, START, samples, simulated
-from processes import ros_arguments, running_node, spinning
+from processes import hosted
 from sensor_msgs.msg import JointState
 from systems import EPOCH
 
+from impact_observer.errors import InputTimeoutError
 from impact_observer.io import interfaces
+from impact_observer.ros.plant_node import PlantNode
 from impact_observer.ros.topics import message_class, qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 
@@ -38,26 +40,20 @@ def test_plant_waits_for_its_inputs_and_ends_without_them(
     initial = f"initial_state: {{position: {position}, velocity: {velocity}}}\n"
     (tmp_path / "rig.yaml").write_text(RIG + initial)
     parameters = {
-        "model": str(tmp_path / "rig.yaml"),
+        "model": tmp_path / "rig.yaml",
         "publish_clock": True,
         "epoch": EPOCH,
         "duration": 4.0,
         "future": 3.0,
-        "input_timeout": 5.0,
-        "wait_for_subscribers": 1,
+        "input_timeout": 2.0,
     }
     make, events, truth = ros_messages(), list[ImpactEvent](), list[JointState]()
-    with (
-        running_node("plant", ros_arguments(parameters), ros_environment) as process,
-        spinning() as spinner,
-    ):
+    assert ros_environment
+    with hosted(PlantNode, parameters) as (_, spinner):
         probe = spinner.probe
-        publishers = {
-            each: probe.create_publisher(
-                message_class(each.type), each.name, qos_profile(each.quality)
-            )
-            for each in (interfaces.FORCING,)
-        }
+        forces = probe.create_publisher(
+            JointState, interfaces.FORCING.name, qos_profile(interfaces.FORCING.quality)
+        )
         for interface, kept in (
             (interfaces.IMPACTS, events),
             (interfaces.PLANT_JOINT_STATES, truth),
@@ -68,17 +64,14 @@ def test_plant_waits_for_its_inputs_and_ends_without_them(
                 kept.append,
                 qos_profile(interface.quality),
             )
-        spinner.until(lambda: all(each.get_subscription_count() for each in publishers.values()))
+        spinner.until(forces.get_subscription_count)
         spinner.settle()
         for stamp, value in samples():
             if stamp <= EPOCH + KNOWN * NS_PER_S:
-                publishers[interfaces.FORCING].publish(make.forces(stamp, {"motor": value}))
-        spinner.until(lambda: process.poll() is not None)
-        _, errors = process.communicate()
-        spinner.settle()
-    assert process.returncode == 1
-    (line,) = [each for each in errors.splitlines() if "the plant waits" in each]
-    assert "no sample of motor for" in line
+                forces.publish(make.forces(stamp, {"motor": value}))
+                spinner.executor.spin_once(timeout_sec=0.0)  # no more wait than the topic keeps
+        with pytest.raises(InputTimeoutError, match="no sample of motor for"):
+            spinner.until(lambda: False)
     wanted, stamps, states = simulated()
     end = EPOCH + KNOWN * NS_PER_S
     assert [stamp_of(each) for each in events] == [e.stamp for e in wanted if e.stamp < end]

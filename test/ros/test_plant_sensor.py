@@ -7,7 +7,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from impact_observer_msgs.msg import ImpactEvent
-from processes import ros_arguments, running_node, spinning
+from processes import hosted
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -17,6 +17,7 @@ from impact_observer.io.simulated_samples import SampleSimulation, samples_of_ru
 from impact_observer.model import parse_model, read_model
 from impact_observer.model.measurement import read_measurements
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
+from impact_observer.ros.plant_node import PlantNode
 from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -36,6 +37,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
     ros_environment: dict[str, str],
 ) -> None:
     """Every event comes in the order of arrival, also after the end of the duration."""
+    assert ros_environment
     parameters = {
         "model": "three_mass",
         "publish_clock": True,
@@ -43,7 +45,6 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
         "epoch": EPOCH,
         "realtime_factor": 5.0,
         "duration": float(SECONDS),
-        "wait_for_subscribers": 1,
         "seed": 5,
         **{f"sensor.{name}": value for name, value in FAULTS.items()},
     }
@@ -51,7 +52,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
     models: list[String] = []
     shown: list[int] = []
     truth: list[int] = []
-    with spinning() as spinner:
+    with hosted(PlantNode, parameters) as (node, spinner):
         for interface, hear in (
             (interfaces.IMPACTS, events.append),
             (interfaces.PLANT_MODEL, models.append),
@@ -66,9 +67,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
         spinner.probe.create_subscription(
             Clock, "/clock", lambda m: shown.append(stamp_of(m.clock)), 10
         )
-        with running_node("plant", ros_arguments(parameters), ros_environment) as process:
-            spinner.until(lambda: process.poll() is not None)
-            assert process.returncode == 0, process.communicate()
+        spinner.until(lambda: node.done)
         spinner.settle()
     model, last = read_model("three_mass"), EPOCH + SECONDS * NS_PER_S
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
@@ -91,18 +90,18 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
     ros_environment: dict[str, str],
 ) -> None:
     """The samples equal those of ``simulate`` with the same seed."""
+    assert ros_environment
     parameters = {
         "model": "two_mass",
         "publish_clock": True,
         "epoch": EPOCH,
         "duration": 2.0,
-        "wait_for_subscribers": 1,
         "seed": 3,
         "measurements": "encoder",
         "measurement_rate": 20.0,
     }
     found: dict[int, float] = {}
-    with spinning() as spinner:
+    with hosted(PlantNode, parameters) as (node, spinner):
         for interface in (interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES):
             spinner.probe.create_subscription(
                 message_class(interface.type),
@@ -116,9 +115,7 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
             lambda m: found.update({stamp_of(m.header.stamp): m.position[0]}),
             qos_profile(interfaces.SENSORS),
         )
-        with running_node("plant", ros_arguments(parameters), ros_environment) as process:
-            spinner.until(lambda: process.poll() is not None)
-            assert process.returncode == 0, process.communicate()
+        spinner.until(lambda: node.done)
         spinner.settle()
     model, last = read_model("two_mass"), EPOCH + 2 * NS_PER_S
     simulation = SampleSimulation(read_measurements("encoder"), model.system, 20.0, 3)
@@ -128,16 +125,3 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
     assert found.keys() <= wanted.keys()
     assert len(found) >= 0.8 * len(wanted)
     assert {stamp: wanted[stamp] for stamp in found} == pytest.approx(found, abs=1e-12)
-
-
-def test_sensor_that_the_model_cannot_have_ends_the_node(ros_environment: dict[str, str]) -> None:
-    """The error is one line, as for every parameter."""
-    arguments = ros_arguments({"model": "two_mass", "sensor.mislabelled": 0.1})
-    with (
-        running_node("plant", arguments, ros_environment) as process,
-        spinning() as spinner,
-    ):
-        spinner.until(lambda: process.poll() is not None)
-        _, errors = process.communicate()
-    assert process.returncode == 2
-    assert "sensor mislabelled" in errors

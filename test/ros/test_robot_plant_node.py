@@ -11,7 +11,7 @@ pytest.importorskip("pinocchio", reason="not installed: extra robots")
 from pathlib import Path
 
 from impact_observer_msgs.msg import ImpactEvent
-from processes import ros_arguments, running_node, spinning
+from processes import ros_arguments, spinning
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -22,6 +22,7 @@ from impact_observer.model import read_model
 from impact_observer.model.multibody import multibody_of
 from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
+from impact_observer.ros.plant_node import PlantNode
 from impact_observer.ros.topics import message_class, qos_profile
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -32,13 +33,14 @@ def test_a_robot_is_simulated_live_as_offline(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
     """Impacts, true states and encoders with efforts are those of a run offline."""
+    assert ros_environment
     sample = read_model("hammer_arm")
     assert sample.robot is not None
     text = shared("config/hammer_arm.yaml").read_text(encoding="utf-8")
     path = tmp_path / "hammer_arm.yaml"
     path.write_text(text.replace("urdf: hammer_arm.urdf", "urdf: {topic: robot_description}"))
     parameters = {
-        "model": str(path),
+        "model": path,
         "publish_clock": True,
         "realtime_factor": 2.0,
         "epoch": EPOCH,
@@ -46,14 +48,10 @@ def test_a_robot_is_simulated_live_as_offline(
         "rate": 100.0,
         "measurements": "hammer_arm",
         "measurement_rate": 50.0,
-        "wait_for_subscribers": 1,
     }
     events, truth, encoders = list[ImpactEvent](), list[JointState](), list[JointState]()
-    with (
-        running_node("plant", ros_arguments(parameters), ros_environment) as process,
-        spinning() as spinner,
-    ):
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    with spinning(ros_arguments(parameters)) as spinner:
         publisher = spinner.probe.create_publisher(String, "robot_description", latched)
         publisher.publish(String(data=sample.robot.known_urdf.text))
         for interface, kept in (
@@ -68,9 +66,9 @@ def test_a_robot_is_simulated_live_as_offline(
             )
         quality = qos_profile(interfaces.SENSORS)
         spinner.probe.create_subscription(JointState, "/joint_states", encoders.append, quality)
-        spinner.until(lambda: process.poll() is not None)
+        spinner.add(node := PlantNode())
+        spinner.until(lambda: node.done)
         spinner.settle()
-    assert process.returncode == 0
     robot = multibody_of(sample)
     stamps = grid(EPOCH, EPOCH + round(2.5 * NS_PER_S), 100)
     run = simulate(Plant(robot, *sample.initial_state(), epoch=EPOCH), stamps)
