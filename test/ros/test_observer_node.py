@@ -548,7 +548,6 @@ def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
         for each in received:
             assert_same(each, replica(intime).estimate(each.stamp))
         rig.send(late)
-        assert rig.verdicts[-1].reason == "later than lag: the last estimate is published again"
         rig.spinner.until(lambda: len(rig.states) > len(received))
         last = rig.estimates()[-1]
         assert_same(last, replica(intime, late).estimate(EPOCH + 40_000_000))
@@ -767,23 +766,6 @@ def test_model_that_does_not_explain_the_impacts_is_a_warning(
         assert values["synchronized"] == "False"
         assert int(values[Remark.MISFIT.value]) > 0
         assert "relative model error" in values
-
-
-def test_the_end_of_a_misfit_is_logged_too(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """A warning, then a line of another severity, which rclpy takes from another place only."""
-    rig.node.get_logger().set_level(LoggingSeverity.INFO)  # another test may have changed it
-    estimate = rig.node.observer.estimate
-    with monkeypatch.context() as patch:
-        patch.setattr(
-            rig.node.observer, "estimate", lambda t: replace(estimate(t), misfit="wrong")
-        )
-        rig.tick(EPOCH + 15_000_000)
-    rig.tick(EPOCH + 25_000_000)
-    logged = "".join(capfd.readouterr())
-    assert "[WARN]" in logged
-    assert "the model explains the impacts again" in logged
 
 
 def test_events_that_wait_are_a_warning_until_the_node_has_caught_up(

@@ -122,7 +122,7 @@ def rig(
         probe.create_subscription(
             DiagnosticArray, "/diagnostics", lambda a: made.diagnostics.extend(a.status), MANY
         )
-        spinner.until(lambda: encoders.get_subscription_count() == 1)
+        spinner.until(lambda: encoders.get_subscription_count() == 2)
         spinner.until(lambda: clock.get_subscription_count() == 1)
         yield made
 
@@ -180,7 +180,7 @@ def test_an_inactive_node_goes_on_and_a_cleanup_forgets_the_robot(rig: Rig) -> N
     rig.spinner.until(lambda: rig.encoders.get_subscription_count() == 0)
     rig.node.trigger_configure()
     rig.node.trigger_activate()
-    rig.spinner.until(lambda: rig.encoders.get_subscription_count() == 1)
+    rig.spinner.until(lambda: rig.encoders.get_subscription_count() == 2)
     rig.go_to(EPOCH + 2 * NS_PER_S, 0.75, 1.0)
     np.testing.assert_allclose([*rig.last.q, *rig.last.u], [0.75, 1.0, 0.0, 0.0], atol=1e-9)
 
