@@ -16,7 +16,6 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
-from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import BagReader, BagWriter, interfaces
@@ -201,17 +200,6 @@ def test_what_cannot_be_played_is_named(
             play(foreign, topics, delay=0.0)
     with pytest.raises(UsageError, match=r"no topic /absent; in the bag: /impacts, /observer"):
         play(sample_bag, ["/absent"])
-
-
-@pytest.mark.parametrize("rate", ["0", "nan", "-1", "x"])
-def test_a_rate_that_is_not_above_0_is_wrong_use(
-    sample_bag: Path, capsys: pytest.CaptureFixture[str], rate: str
-) -> None:
-    """The error names the option."""
-    with pytest.raises(SystemExit) as error:
-        main(["play", str(sample_bag), "--rate", rate])
-    assert error.value.code == 2
-    assert "--rate" in capsys.readouterr().err
 
 
 def test_late_listener_gets_the_model_in_a_later_pass(
