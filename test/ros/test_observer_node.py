@@ -16,7 +16,7 @@ pytest.importorskip("impact_observer_msgs")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import EventVerdict, ImpactEstimate, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
-from processes import Spinner, ros_arguments, spinning
+from processes import Spinner, hosted, ros_arguments, spinning
 from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -90,9 +90,8 @@ class Rig:
         self.spinner.settle(0.1)
 
     def values(self) -> dict[str, str]:
-        """The values of the next diagnostics."""
-        before = len(self.diagnostics)
-        self.spinner.until(lambda: len(self.diagnostics) > before)
+        """The values of the diagnostics as they would be now."""
+        self.diagnostics.append(self.node.statuses()[0])
         return {each.key: each.value for each in self.diagnostics[-1].values}
 
     def estimates(self) -> list[Estimate]:
@@ -332,55 +331,43 @@ def test_an_estimate_of_an_impact_that_fails_leaves_the_verdicts(
     assert [each.sequence for each in rig.hits] == [2]
 
 
-def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
-    """An applied event from the future would make every true event too late."""
-    rig.tick(EPOCH + 50_000_000)
-    rig.send(event(EPOCH + 3_600_000_000_000, 1))
-    assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
-    assert "after the clock" in rig.verdicts[-1].reason
-    good = event(EPOCH + 20_000_000, 2)
-    rig.send(good)
-    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+def test_an_event_ahead_of_the_clock_is_rejected_until_the_clock_is_near(
+    ros_environment: dict[str, str],
+) -> None:
+    """The estimates are as if the event had come in time, also for one before any clock.
 
+    Applied at once such an event would make every true event too late, or of an earlier episode.
+    """
+    assert ros_environment
+    before, near = event(EPOCH + 1_000_000, 1), event(EPOCH + 95_000_000, 2)
+    ahead, hour = event(EPOCH + 100_000_001, 3), 3_600_000_000_000
+    with rig_with(future=0.05) as rig:
+        last = rig.verdicts
 
-def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
-    """An epoch from the future would put every true event into an earlier episode."""
-    rig.tick(EPOCH + 50_000_000)
-    rig.send(event(EPOCH + 10_000_000, 1, epoch=EPOCH + 3_600_000_000_000))
-    assert "its epoch is 3599.950 s after the clock" in rig.verdicts[-1].reason
-    rig.send(event(EPOCH + 20_000_000, 2))
-    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
-    assert rig.values()["from the future"] == "1"
+        def ruling() -> Ruling:
+            return Ruling(last[-1].verdict)
 
-
-def test_an_event_ahead_of_the_clock_is_taken_when_the_clock_is_near(rig: Rig) -> None:
-    """The estimates are as if the event had come in time, also for one before any clock."""
-    before, ahead = event(EPOCH + 1_000_000, 1), event(EPOCH + 2_000_000_000, 2)
-    rig.send(before)
-    assert rig.verdicts[-1].reason.startswith("no /clock has come")
-    rig.tick(EPOCH + 50_000_000)
-    rig.spinner.until(lambda: Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED)
-    rig.send(ahead)
-    assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
-    rig.tick(EPOCH + 1_500_000_000)
-    rig.spinner.until(lambda: Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED)
-    assert rig.verdicts[-1].reason == "revised: as reported"
-    rig.tick(EPOCH + 2_010_000_000)
-    assert_same(rig.estimates()[-1], replica(before, ahead).estimate(EPOCH + 2_010_000_000))
-
-
-def test_a_message_beyond_the_limits_is_refused(rig: Rig) -> None:
-    """The diagnostics name the limit; the status is an ERROR while no event was applied."""
-    rig.tick(EPOCH + 50_000_000)
-    many = Event(EPOCH + 1_000_000, (Switch("s" * 257),), 1, epoch=EPOCH)
-    rig.impacts.publish(ros_messages().event(many))
-    rig.spinner.until(lambda: rig.values()["invalid messages"] == "1")
-    assert rig.diagnostics[-1].level == DiagnosticStatus.ERROR
-    assert "name of a contact; expected at most 256" in rig.diagnostics[-1].message
-    rig.send(event(EPOCH + 20_000_000, 1))
-    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
-    rig.values()
-    assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
+        rig.send(before)
+        assert last[-1].reason.startswith("no /clock has come")
+        rig.tick(EPOCH + 50_000_000)
+        rig.spinner.until(lambda: ruling() is Ruling.APPLIED)
+        for wrong, reason in (
+            (event(EPOCH + hour, 4), "stamped 3599.950 s after the clock"),
+            (event(EPOCH + 10_000_000, 5, epoch=EPOCH + hour), "its epoch is 3599.950 s after"),
+            (ahead, "stamped 0.050 s after the clock; future allows 0.05 s, and it waits"),
+        ):
+            rig.send(wrong)
+            assert ruling() is Ruling.REJECTED
+            assert reason in last[-1].reason
+        rig.send(near)
+        assert ruling() is Ruling.APPLIED
+        assert rig.values()["from the future"] == "4"
+        rig.tick(EPOCH + 60_000_000)
+        rig.spinner.until(lambda: last[-1].reason == "revised: as reported")
+        assert ruling() is Ruling.APPLIED
+        rig.tick(EPOCH + 110_000_000)
+        wanted = replica(before, near, ahead).estimate(EPOCH + 110_000_000)
+        assert_same(rig.estimates()[-1], wanted)
 
 
 def test_some_parameters_may_be_set_while_the_node_runs(rig: Rig) -> None:
@@ -405,38 +392,31 @@ def test_some_parameters_may_be_set_while_the_node_runs(rig: Rig) -> None:
     assert later == [40_000_000, 60_000_000, 80_000_000]
 
 
-def test_bytes_that_are_no_event_do_not_end_the_node(rig: Rig) -> None:
-    """A header alone, and a message that ends before its switches do, are left out."""
+def test_what_is_no_event_is_counted_and_named(rig: Rig) -> None:
+    """The status is an ERROR while no event was applied; the next event is."""
     rig.tick(EPOCH + 50_000_000)
     whole = serialize_message(ros_messages().event(event(EPOCH + 10_000_000, 1)))
-    for data in (whole[:4], whole[:-20] + b"\xff" * 20):
+    for data in (whole[:4], whole[:-20] + b"\xff" * 20):  # a header, and no switches
         rig.impacts.publish(data)
-    rig.send(event(EPOCH + 20_000_000, 2))
-    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
-    assert [each.sequence for each in rig.verdicts] == [2]
-
-
-@pytest.mark.parametrize(
-    ("change", "what"),
-    [
+    changes: list[tuple[Callable[[ImpactEvent], None], str]] = [
         (lambda message: setattr(message.header.stamp, "nanosec", 0), "header.stamp is"),
-        (lambda message: setattr(message.header.stamp, "nanosec", 10**9), "nanosec is 1000000000"),
+        (lambda message: setattr(message.header.stamp, "nanosec", 10**9), "is 1000000000"),
         (lambda message: setattr(message.epoch, "sec", -1), "epoch is"),
         (lambda message: setattr(message.switches[0], "kind", 7), "kind is 7"),
-    ],
-)
-def test_an_event_with_an_invalid_value_is_counted_and_named(
-    rig: Rig, change: Callable[[ImpactEvent], None], what: str
-) -> None:
-    """The diagnostics say what was found; the next event is applied."""
-    rig.tick(EPOCH + 50_000_000)
-    message = ros_messages().event(event(NS_PER_S // 2, 1))
-    change(message)
-    rig.impacts.publish(message)
-    rig.spinner.until(lambda: rig.values()["invalid messages"] == "1")
-    assert what in rig.diagnostics[-1].message
+        (lambda message: setattr(message.switches[0], "contact", "s" * 257), "at most 256"),
+    ]
+    for k, (change, what) in enumerate(changes, start=1):
+        message = ros_messages().event(event(NS_PER_S // 2, 1))
+        change(message)
+        rig.impacts.publish(message)
+        rig.spinner.until(lambda k=k: rig.values()["invalid messages"] == str(k))
+        assert what in rig.diagnostics[-1].message
+        assert rig.diagnostics[-1].level == DiagnosticStatus.ERROR
     rig.send(event(EPOCH + 20_000_000, 2))
+    assert [each.sequence for each in rig.verdicts] == [2]
     assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+    rig.values()
+    assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
 
 
 def test_an_estimate_that_is_not_finite_is_not_published(
@@ -508,25 +488,6 @@ def test_each_estimate_before_the_epoch_is_published_once(rig: Rig) -> None:
     assert stamps[0] == EPOCH - 600_000_000
     assert stamps == sorted({*stamps})
     assert stamps[-1] == EPOCH - 200_000_000
-
-
-def test_how_far_ahead_a_stamp_may_be_is_a_parameter(ros_environment: dict[str, str]) -> None:
-    """An event up to ``future`` ahead is applied; one beyond is rejected and counted."""
-    assert ros_environment
-    with rig_with(future=0.05) as rig:
-        rig.tick(EPOCH + 10_000_000)
-        rig.send(event(EPOCH + 60_000_001, 1))
-        assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
-        assert (
-            rig.verdicts[-1].reason
-            == "stamped 0.050 s after the clock; future allows 0.05 s, and it waits"
-        )
-        ahead = event(EPOCH + 55_000_000, 2)
-        rig.send(ahead)
-        assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
-        rig.tick(EPOCH + 60_000_000)
-        assert_same(rig.estimates()[-1], replica(ahead).estimate(EPOCH + 60_000_000))
-        assert rig.values()["from the future"] == "1"
 
 
 def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
@@ -690,26 +651,19 @@ def test_the_epoch_is_that_of_the_first_event(ros_environment: dict[str, str]) -
         assert_same(rig.estimates()[-1], replica(first).estimate(EPOCH + 60_000_000))
 
 
-def test_persistent_contact_is_in_the_estimates_until_it_opens(
-    ros_environment: dict[str, str],
-) -> None:
+def test_persistent_contact_is_in_the_estimates_until_it_opens(rig: Rig) -> None:
     """CLOSE and OPEN travel as events; the estimates are the replica's to the last bit."""
-    assert ros_environment
-    with spinning(ros_arguments(PARAMETERS)) as spinner:
-        rig = make_rig(spinner)
-        spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
-        closing = Event(EPOCH + 15_000_000, (Switch("stop", Kind.CLOSE),), 1, epoch=EPOCH)
-        opening = Event(EPOCH + 45_000_000, (Switch("stop", Kind.OPEN),), 2, epoch=EPOCH)
-        rig.tick(EPOCH + 20_000_000)
-        rig.send(closing)
-        rig.tick(EPOCH + 30_000_000)
-        assert rig.states[-1].closed == ["stop"]
-        rig.tick(EPOCH + 50_000_000)
-        rig.send(opening)
-        rig.tick(EPOCH + 60_000_000)
-        assert rig.states[-1].closed == []
-        wanted = replica(closing, opening).estimate(EPOCH + 60_000_000)
-        assert_same(rig.estimates()[-1], wanted)
+    closing = Event(EPOCH + 15_000_000, (Switch("stop", Kind.CLOSE),), 1, epoch=EPOCH)
+    opening = Event(EPOCH + 45_000_000, (Switch("stop", Kind.OPEN),), 2, epoch=EPOCH)
+    rig.tick(EPOCH + 20_000_000)
+    rig.send(closing)
+    rig.tick(EPOCH + 30_000_000)
+    assert rig.states[-1].closed == ["stop"]
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(opening)
+    rig.tick(EPOCH + 60_000_000)
+    assert rig.states[-1].closed == []
+    assert_same(rig.estimates()[-1], replica(closing, opening).estimate(EPOCH + 60_000_000))
 
 
 def test_an_observer_subscribes_to_impacts_and_pulses_only(
@@ -717,8 +671,7 @@ def test_an_observer_subscribes_to_impacts_and_pulses_only(
 ) -> None:
     """The ROS graph shows impacts and pulses only: no ground truth goes into the observer."""
     assert ros_environment
-    with spinning(ros_arguments(PARAMETERS)) as spinner:
-        spinner.add(ObserverNode())
+    with hosted(ObserverNode, PARAMETERS) as (_, spinner):
         find = spinner.probe.get_subscriber_names_and_types_by_node
         spinner.until(lambda: "/impacts" in dict(find("observer", "/")))
         spinner.settle(0.5)
@@ -731,19 +684,15 @@ def test_events_that_contradict_what_was_declared_are_a_warning(
 ) -> None:
     """The initial state is wrong and has a declared deviation of 0."""
     assert ros_environment
-    declared = {"epoch": EPOCH, "initial_deviation": "'0'"}
-    with spinning(ros_arguments({**PARAMETERS, **declared})) as spinner:
-        rig = make_rig(spinner)
-        spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
+    with rig_with(initial_deviation="'0'") as rig:
         rig.tick(EPOCH + 900_000_000)
         rig.send(event(EPOCH + 500_000_000, 1))
         rig.tick(EPOCH + 1_000_000_000)
-        spinner.until(lambda: any("contradict" in s.message for s in rig.diagnostics))
-        last = next(s for s in rig.diagnostics if "contradict" in s.message)
-        assert last.level == DiagnosticStatus.WARN
-        values = {each.key: each.value for each in last.values}
-        assert values["certified bound of V [J]"] == "refuted"
-        assert values["synchronized"] == "False"
+        values = rig.values()
+    assert "contradict" in rig.diagnostics[-1].message
+    assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
+    assert values["certified bound of V [J]"] == "refuted"
+    assert values["synchronized"] == "False"
 
 
 def test_model_that_does_not_explain_the_impacts_is_a_warning(
@@ -759,13 +708,12 @@ def test_model_that_does_not_explain_the_impacts_is_a_warning(
         for each in plant.events:
             rig.send(each)
         rig.tick(end + 2_000_000_000)
-        rig.spinner.until(lambda: any("does not explain" in s.message for s in rig.diagnostics))
-        last = rig.diagnostics[-1]
-        assert last.level == DiagnosticStatus.WARN
-        values = {each.key: each.value for each in last.values}
-        assert values["synchronized"] == "False"
-        assert int(values[Remark.MISFIT.value]) > 0
-        assert "relative model error" in values
+        rig.spinner.until(lambda: rig.values() and "does not exp" in rig.diagnostics[-1].message)
+        values = rig.values()
+    assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
+    assert values["synchronized"] == "False"
+    assert int(values[Remark.MISFIT.value]) > 0
+    assert "relative model error" in values
 
 
 def test_events_that_wait_are_a_warning_until_the_node_has_caught_up(
@@ -775,11 +723,11 @@ def test_events_that_wait_are_a_warning_until_the_node_has_caught_up(
     with monkeypatch.context() as patch:
         patch.setattr(rig.node.intake, "backlog", lambda: (7, 24.1))
         behind = "7 events wait, the oldest for 24.1 s: the observer cannot keep up"
-        rig.spinner.until(lambda: rig.diagnostics and rig.diagnostics[-1].message == behind)
-        assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
         assert rig.values()["waiting"] == "7"
-    rig.spinner.until(lambda: rig.diagnostics[-1].message != behind)
+        assert rig.diagnostics[-1].message == behind
+        assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
     assert rig.values()["waiting"] == "0"
+    assert rig.diagnostics[-1].message != behind
 
 
 def test_slow_estimates_leave_half_of_the_time_to_what_waits(
