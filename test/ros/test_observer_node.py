@@ -94,6 +94,10 @@ class Rig:
         self.diagnostics.append(self.node.statuses()[0])
         return {each.key: each.value for each in self.diagnostics[-1].values}
 
+    def until_value(self, key: str, value: str) -> None:
+        """Spin until the diagnostics have a value."""
+        self.spinner.until(lambda: self.values()[key] == value)
+
     def estimates(self) -> list[Estimate]:
         """The estimates received so far."""
         return [read_estimate(message)[1] for message in self.states]
@@ -409,7 +413,7 @@ def test_what_is_no_event_is_counted_and_named(rig: Rig) -> None:
         message = ros_messages().event(event(NS_PER_S // 2, 1))
         change(message)
         rig.impacts.publish(message)
-        rig.spinner.until(lambda k=k: rig.values()["invalid messages"] == str(k))
+        rig.until_value("invalid messages", str(k))
         assert what in rig.diagnostics[-1].message
         assert rig.diagnostics[-1].level == DiagnosticStatus.ERROR
     rig.send(event(EPOCH + 20_000_000, 2))
@@ -512,7 +516,7 @@ def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
         rig.spinner.until(lambda: len(rig.states) > len(received))
         last = rig.estimates()[-1]
         assert_same(last, replica(intime, late).estimate(EPOCH + 40_000_000))
-        rig.spinner.until(lambda: rig.values()["estimates corrected"] == "1")
+        rig.until_value("estimates corrected", "1")
 
 
 def test_events_received_before_a_state_was_set_behind_a_lag_act_on_it(
