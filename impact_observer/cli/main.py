@@ -14,6 +14,7 @@ from typing import NoReturn
 from impact_observer import __version__
 from impact_observer.errors import NotLinearError
 from impact_observer.matrix_threads import one_matrix_thread
+from impact_observer.output_files import check_outputs
 from impact_observer.plain_text import printable
 from impact_observer.process_end import run
 
@@ -104,11 +105,9 @@ def _run(argv: Sequence[str]) -> int:
     if unknown:
         found = f"unrecognized arguments: {' '.join(unknown)}"
         subparsers.choices[args.command].error(f"{found}; CHANGELOG.rst has what went in 0.4.0")
-    if outputs := getattr(args, "outputs", ()):
-        from impact_observer.output_files import check_outputs
-
-        given = (getattr(args, name) for name in outputs)
-        check_outputs([path for path in given if path is not None])
+    outputs: dict[str, Sequence[str]] = getattr(args, "outputs", {})
+    given = [(getattr(args, name), suffixes) for name, suffixes in outputs.items()]
+    check_outputs([each for each in given if each[0] is not None])
     try:
         return int(_module(args.command).run(args))
     except NotLinearError as error:
