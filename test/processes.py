@@ -15,9 +15,13 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from impact_observer.io.interfaces import Quality
 from impact_observer.ros import entry
+from impact_observer.ros.topics import qos_profile
 
 Hosted = TypeVar("Hosted", bound=Node)
+Heard = TypeVar("Heard")
+MANY = Quality(depth=2000)
 PATIENCE = 90.0
 """How long a process may take to do what a test waits for, s."""
 SHORT_WAIT = 0.005
@@ -113,6 +117,12 @@ class Spinner:
         future = client.call_async(kind.Request(**fields))
         self.until(future.done)
         return future.result()
+
+    def hear(self, kind: type[Heard], topic: str, quality: Quality = MANY) -> list[Heard]:
+        """The messages that come on a topic from now on."""
+        heard = list[Heard]()
+        self.probe.create_subscription(kind, topic, heard.append, qos_profile(quality))
+        return heard
 
     def settle(self, seconds: float = 0.1) -> None:
         """Spin for ``seconds``, and then until there is nothing to do.

@@ -10,55 +10,13 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from impact_observer_msgs.msg import ContactSwitch, ImpactEvent, ObserverState
-from processes import hosted, refusal, ros_arguments, spinning
-from sensor_msgs.msg import JointState
+from processes import refusal, ros_arguments, spinning
 
-from impact_observer.io.interfaces import STATES, Quality
+from impact_observer.io.interfaces import STATES
 from impact_observer.ros.observer_node import ObserverNode
-from impact_observer.ros.plant_node import PlantNode
 from impact_observer.ros.topics import qos_profile
 
 pytestmark = pytest.mark.ros
-
-
-def test_a_body_at_rest_on_its_stop_is_published_as_closed(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
-    """The plant publishes CLOSE at the epoch, and the observer holds the contact."""
-    model = tmp_path / "resting.yaml"
-    model.write_text(
-        "name: resting\nbodies: [{name: z, mass: 1}]\nforces: [{body: z, constant: -9.81}]\n"
-        "stops: [{name: floor, body: z, limit: 0, side: below, restitution: 0.5}]\n"
-        "initial_state: {position: [0], velocity: [0]}\n",
-        encoding="utf-8",
-    )
-    assert ros_environment
-    events, states, truth = list[ImpactEvent](), list[ObserverState](), list[JointState]()
-    given = {
-        "model": model,
-        "epoch": 3_000_000_000,
-        "plant:publish_clock": True,
-        "plant:duration": 1.0,
-        "observer:use_sim_time": True,
-        "observer:initial_state": "'0.3,1.0'",
-    }
-    with hosted(ObserverNode, given) as (_, spinner):
-        probe, seen = spinner.probe, qos_profile(Quality(depth=1000))
-        received = qos_profile(Quality(transient_local=True, depth=10))
-        probe.create_subscription(ImpactEvent, "impacts", events.append, received)
-        probe.create_subscription(JointState, "plant/joint_states", truth.append, seen)
-        probe.create_subscription(ObserverState, "observer/state", states.append, seen)
-        spinner.add(plant := PlantNode())
-        spinner.until(lambda: plant.done)
-        spinner.settle()
-    assert [[(s.contact, s.kind) for s in event.switches] for event in events] == [
-        [("floor", ContactSwitch.CLOSE)]
-    ]
-    assert (events[0].header.stamp.sec, events[0].header.stamp.nanosec) == (3, 0)
-    assert list(states[-1].closed) == ["floor"]
-    assert states[-1].position[0] == 0.0
-    assert truth[-1].position[0] == 0.0
 
 
 @pytest.mark.parametrize(
