@@ -40,7 +40,7 @@ from impact_observer.ros.session import ros_node
 from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 
 EPOCH = (int(time.time()) - 5) * NS_PER_S  # near the clock, as that of a rig
 BEST_EFFORT = Quality(reliable=False, depth=1000)
@@ -142,11 +142,8 @@ def test_a_less_reliable_publisher_that_comes_later_is_received_too(rig: Rig) ->
     assert rig.events[0].switches == (Switch("stop"),)
 
 
-def test_a_latched_switch_that_was_closed_before_the_node_started_is_closed(
-    ros_environment: dict[str, str], sources: Path
-) -> None:
+def test_a_latched_switch_that_was_closed_before_the_node_started_is_closed(sources: Path) -> None:
     """The event has the stamp of the closing; a later volatile publisher is received too."""
-    assert ros_environment
     with spinning(ros_arguments({"sources": sources, "epoch": EPOCH})) as spinner:
         latched = spinner.probe.create_publisher(
             Bool, "switch", qos_profile(Quality(transient_local=True, depth=1))
@@ -209,11 +206,8 @@ def test_diagnostics_have_the_state_of_each_sensor(rig: Rig) -> None:
     )
 
 
-def test_a_clock_that_jumps_back_is_a_new_episode(
-    ros_environment: dict[str, str], sources: Path
-) -> None:
+def test_a_clock_that_jumps_back_is_a_new_episode(sources: Path) -> None:
     """Simulated time stamps messages without a header; no event comes before it begins."""
-    assert ros_environment
     with spinning(ros_arguments({"sources": sources, "use_sim_time": True})) as spinner:
         rig = make_rig(spinner)
         clock = spinner.probe.create_publisher(Clock, "/clock", qos_profile(STATES))
@@ -335,10 +329,9 @@ def test_a_fast_sensor_does_not_outrun_the_node(rig: Rig) -> None:
 
 
 def test_a_topic_that_is_not_what_was_declared_is_an_error_until_its_type_changes(
-    ros_environment: dict[str, str], tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     """The diagnostics name the key; a publisher that comes later is received."""
-    assert ros_environment
     sources = tmp_path / "rig.yaml"
     sources.write_text("sources: [{contact: stop, topic: force}]", encoding="utf-8")
     with (
@@ -362,11 +355,8 @@ def test_a_topic_that_is_not_what_was_declared_is_an_error_until_its_type_change
             node.destroy_publisher(sensor)
 
 
-def test_a_long_message_is_refused_and_told(
-    ros_environment: dict[str, str], sources: Path
-) -> None:
+def test_a_long_message_is_refused_and_told(sources: Path) -> None:
     """The next message is used."""
-    assert ros_environment
     given = {"sources": sources, "epoch": EPOCH, "max_message": 1000}
     with spinning(ros_arguments(given)) as spinner:
         rig = make_rig(spinner)

@@ -26,7 +26,7 @@ from impact_observer.ros.player import Player
 from impact_observer.ros.session import ros_node
 from impact_observer.ros.topics import qos_profile
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 
 
 class Case(NamedTuple):
@@ -99,11 +99,8 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_a_node_fed_by_play_estimates_what_observe_does(
-    case: Case, ros_environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_a_node_fed_by_play_estimates_what_observe_does(case: Case, tmp_path: Path) -> None:
     """Events, samples and pulses may come late, but not later than the lag."""
-    assert ros_environment
     if case.bag is robot:
         pytest.importorskip("pinocchio", reason="not installed: extra robots")
     bag, output, model = case.bag(tmp_path), tmp_path / "out", tmp_path / "model.yaml"

@@ -46,7 +46,7 @@ from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 
 EPOCH = 5_000_000_000
 SYSTEM = read_model("two_mass").system
@@ -145,10 +145,9 @@ def rig_with(**parameters: object) -> Iterator[Rig]:
 
 
 def test_a_model_that_does_not_fit_is_said_at_the_start(
-    ros_environment: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """The verdict is in the provenance of its file."""
-    assert ros_environment
     model = tmp_path / "worn.yaml"
     text = shared("config/two_mass.yaml").read_text("utf-8")
     model.write_text(f"{text}\nprovenance: {{fits: false}}\n", "utf-8")
@@ -183,11 +182,8 @@ def test_stamps_of_estimates_lie_on_the_grid_of_the_epoch(rig: Rig) -> None:
         assert_same(each, replica().estimate(each.stamp))
 
 
-def test_estimated_parameters_of_the_model_are_published(
-    ros_environment: dict[str, str],
-) -> None:
+def test_estimated_parameters_of_the_model_are_published() -> None:
     """Names, values and deviations stand in every state, and in the diagnostics with units."""
-    assert ros_environment
     wanted = {
         "law": "minimum-variance",
         "estimate_parameters": "[gap=0.01, restitution]",
@@ -291,11 +287,8 @@ def test_the_observer_follows_a_restarted_plant_and_rejects_its_earlier_events(r
 
 
 @pytest.mark.parametrize("law", ["geometric", "minimum-variance"])
-def test_live_estimates_of_impacts_are_those_of_observe(
-    ros_environment: dict[str, str], tmp_path: Path, law: str
-) -> None:
+def test_live_estimates_of_impacts_are_those_of_observe(tmp_path: Path, law: str) -> None:
     """The last on each event equals that of the bag in every bit; so does an inserted one."""
-    assert ros_environment
     bag, output = shared("bags/missed_and_spurious"), tmp_path / "out"
     given = ["--law", law, "--initial-state", "random:1", "--clock-error", "0.001"]
     assert main(["observe", str(bag), *given, "-o", str(output)]) == 0
@@ -335,14 +328,11 @@ def test_an_estimate_of_an_impact_that_fails_leaves_the_verdicts(
     assert [each.sequence for each in rig.hits] == [2]
 
 
-def test_an_event_ahead_of_the_clock_is_rejected_until_the_clock_is_near(
-    ros_environment: dict[str, str],
-) -> None:
+def test_an_event_ahead_of_the_clock_is_rejected_until_the_clock_is_near() -> None:
     """The estimates are as if the event had come in time, also for one before any clock.
 
     Applied at once such an event would make every true event too late, or of an earlier episode.
     """
-    assert ros_environment
     before, near = event(EPOCH + 1_000_000, 1), event(EPOCH + 95_000_000, 2)
     ahead, hour = event(EPOCH + 100_000_001, 3), 3_600_000_000_000
     with rig_with(future=0.05) as rig:
@@ -494,11 +484,8 @@ def test_each_estimate_before_the_epoch_is_published_once(rig: Rig) -> None:
     assert stamps[-1] == EPOCH - 200_000_000
 
 
-def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
-    ros_environment: dict[str, str],
-) -> None:
+def test_estimates_behind_a_lag_contain_the_events_of_their_instant() -> None:
     """A later event corrects the last estimate, is named in the verdict and counted."""
-    assert ros_environment
     with rig_with(lag=0.03) as rig:
         rig.tick(EPOCH + 29_000_000)
         assert not rig.states
@@ -519,11 +506,8 @@ def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
         rig.until_value("estimates corrected", "1")
 
 
-def test_events_received_before_a_state_was_set_behind_a_lag_act_on_it(
-    ros_environment: dict[str, str],
-) -> None:
+def test_events_received_before_a_state_was_set_behind_a_lag_act_on_it() -> None:
     """The state holds from the last estimate on; the event has a later stamp."""
-    assert ros_environment
     with rig_with(lag=0.03) as rig:
         rig.tick(EPOCH + 50_000_000)
         later = event(EPOCH + 45_000_000, 1)
@@ -617,11 +601,8 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
     )
 
 
-def test_past_events_are_received_where_all_publishers_keep_them(
-    ros_environment: dict[str, str],
-) -> None:
+def test_past_events_are_received_where_all_publishers_keep_them() -> None:
     """A volatile publisher that comes later is received too; one that is best effort is told."""
-    assert ros_environment
     with spinning(ros_arguments({**PARAMETERS, "epoch": EPOCH})) as spinner:
         first = spinner.probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
         first.publish(ros_messages().event(event(EPOCH + 10_000_000, 1)))
@@ -641,9 +622,8 @@ def test_past_events_are_received_where_all_publishers_keep_them(
         spinner.until(lambda: rig.diagnostics[-1].level == DiagnosticStatus.OK)
 
 
-def test_the_epoch_is_that_of_the_first_event(ros_environment: dict[str, str]) -> None:
+def test_the_epoch_is_that_of_the_first_event() -> None:
     """Without an epoch no estimate is published; then the replica starts at the epoch."""
-    assert ros_environment
     with spinning(ros_arguments(PARAMETERS)) as spinner:
         rig = make_rig(spinner)
         spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
@@ -670,11 +650,8 @@ def test_persistent_contact_is_in_the_estimates_until_it_opens(rig: Rig) -> None
     assert_same(rig.estimates()[-1], replica(closing, opening).estimate(EPOCH + 60_000_000))
 
 
-def test_an_observer_subscribes_to_impacts_and_pulses_only(
-    ros_environment: dict[str, str],
-) -> None:
+def test_an_observer_subscribes_to_impacts_and_pulses_only() -> None:
     """The ROS graph shows impacts and pulses only: no ground truth goes into the observer."""
-    assert ros_environment
     with hosted(ObserverNode, PARAMETERS) as (_, spinner):
         find = spinner.probe.get_subscriber_names_and_types_by_node
         spinner.until(lambda: "/impacts" in dict(find("observer", "/")))
@@ -683,11 +660,8 @@ def test_an_observer_subscribes_to_impacts_and_pulses_only(
     assert received <= {"/impacts", "/phase_reference", "/clock", "/parameter_events"}
 
 
-def test_events_that_contradict_what_was_declared_are_a_warning(
-    ros_environment: dict[str, str],
-) -> None:
+def test_events_that_contradict_what_was_declared_are_a_warning() -> None:
     """The initial state is wrong and has a declared deviation of 0."""
-    assert ros_environment
     with rig_with(initial_deviation="'0'") as rig:
         rig.tick(EPOCH + 900_000_000)
         rig.send(event(EPOCH + 500_000_000, 1))
@@ -699,11 +673,8 @@ def test_events_that_contradict_what_was_declared_are_a_warning(
     assert values["synchronized"] == "False"
 
 
-def test_model_that_does_not_explain_the_impacts_is_a_warning(
-    ros_environment: dict[str, str],
-) -> None:
+def test_model_that_does_not_explain_the_impacts_is_a_warning() -> None:
     """The plant is 5 % stiffer than its model: diagnostics warn, and nothing is synchronized."""
-    assert ros_environment
     stiffer = replace(SYSTEM, K=1.05 * SYSTEM.K)
     start, end = [np.array([0.4, -0.3]), np.array([0.5, 0.2])], EPOCH + 30_000_000_000
     plant = simulate(Plant(stiffer, *start, epoch=EPOCH), np.array([end]))

@@ -25,7 +25,7 @@ from impact_observer.ros.observer_node import ObserverNode
 from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 
 MOTOR = """\
 name: driven
@@ -43,12 +43,9 @@ def pulse_publisher(probe: Node) -> Publisher:
     return probe.create_publisher(Header, interface.name, qos_profile(interface.quality))
 
 
-def test_diagnostics_warn_of_inputs_that_are_silent(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_diagnostics_warn_of_inputs_that_are_silent(tmp_path: Path) -> None:
     """Silence beyond ``input_timeout`` is a WARN; the age of the signal is shown."""
     (tmp_path / "driven.yaml").write_text(MOTOR)
-    assert ros_environment
     model = tmp_path / "driven.yaml"
     parameters = {"model": model, "input_timeout": 1.2, "future": 60.0}
     found: list[DiagnosticStatus] = []
@@ -87,9 +84,8 @@ def test_diagnostics_warn_of_inputs_that_are_silent(
     assert "input_timeout is 1.2 s" in status.message
 
 
-def test_detector_puts_the_first_pulse_into_its_events(ros_environment: dict[str, str]) -> None:
+def test_detector_puts_the_first_pulse_into_its_events() -> None:
     """The first pulse is the epoch of events if no parameter gives an epoch."""
-    assert ros_environment
     sources = shared("config/detector/switch.yaml")
     events: list[ImpactEvent] = []
     make = ros_messages()

@@ -27,7 +27,7 @@ from impact_observer.ros.topics import message_class, offered_quality, qos_profi
 if TYPE_CHECKING:
     from impact_observer.io.messages import AnyMessage
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 PATIENCE = 90.0
 """Longest wait on a slow machine, s."""
 ENOUGH = 1000
@@ -100,11 +100,8 @@ def player_of(bag: Path, topics: list[str] | None = None, **how: Any) -> Iterato
         yield Player(node, reader, topics, **how)
 
 
-def test_messages_are_sent_in_order_and_not_before_they_are_due(
-    sample_bag: Path, ros_environment: dict[str, str]
-) -> None:
+def test_messages_are_sent_in_order_and_not_before_they_are_due(sample_bag: Path) -> None:
     """Due times are the intervals in the bag divided by the rate; the clock ticks between."""
-    assert ros_environment
     topics = ["/impacts", "/plant/joint_states"]
     with BagReader(sample_bag) as reader:
         logged = np.array([each.log_time for each in reader.raw(topics)])
@@ -137,11 +134,8 @@ def test_messages_are_sent_in_order_and_not_before_they_are_due(
     assert times[-1] == 1_500_000_000
 
 
-def test_loop_begins_again_and_the_clock_jumps_back(
-    sample_bag: Path, ros_environment: dict[str, str]
-) -> None:
+def test_loop_begins_again_and_the_clock_jumps_back(sample_bag: Path) -> None:
     """The loop goes on until the player is told to end."""
-    assert ros_environment
     calls, once = count(), [1_000_000_000 + k * 50_000_000 for k in range(11)]
     how: dict[str, Any] = {"rate": 5.0, "loop": True, "keep_on": lambda: next(calls) < 400}
     with (
@@ -156,11 +150,8 @@ def test_loop_begins_again_and_the_clock_jumps_back(
     assert sum(b < a for a, b in pairwise(clock(received))) >= 2
 
 
-def test_late_listener_gets_events_and_model_until_the_end(
-    sample_bag: Path, ros_environment: dict[str, str]
-) -> None:
+def test_late_listener_gets_events_and_model_until_the_end(sample_bag: Path) -> None:
     """Events and model have the durability with which they were recorded."""
-    assert ros_environment
     with BagReader(sample_bag) as reader, ros_node("player") as (node, _):
         player = Player(node, reader, rate=10.0)
         player.play()
@@ -176,11 +167,9 @@ def test_late_listener_gets_events_and_model_until_the_end(
 def test_what_cannot_be_played_is_named(
     tmp_path: Path,
     sample_bag: Path,
-    ros_environment: dict[str, str],
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """A foreign type and a publisher beside are warnings; the recorded clock is left out."""
-    assert ros_environment
     foreign = tmp_path / "foreign"
     with BagWriter(foreign) as writer:
         writer.declare("/torque", type_name="rig/msg/Torque", definition="float64 torque\n")
@@ -202,11 +191,8 @@ def test_what_cannot_be_played_is_named(
         play(sample_bag, ["/absent"])
 
 
-def test_late_listener_gets_the_model_in_a_later_pass(
-    sample_bag: Path, ros_environment: dict[str, str]
-) -> None:
+def test_late_listener_gets_the_model_in_a_later_pass(sample_bag: Path) -> None:
     """The model is published again in each pass."""
-    assert ros_environment
     done = threading.Event()
     how: dict[str, Any] = {"rate": 5.0, "loop": True, "keep_on": lambda: not done.is_set()}
     with player_of(sample_bag, ["/impacts", "/plant/model"], **how) as player:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.publisher import Publisher
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 MAKE = ros_messages()
 PATIENCE = 90.0
 """How long a slow machine may take, s."""
@@ -123,13 +123,12 @@ def test_what_is_played_is_recorded_until_a_signal(
 
 
 def test_a_late_recorder_has_earlier_messages_bursts_and_what_is_best_effort(
-    tmp_path: Path, ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Each topic is taken with the quality that all its first publishers offer.
 
     A later publisher of less quality cannot reach that subscription, which is a warning, once.
     """
-    assert ros_environment
     state = MAKE.joint_state(JointState(1, ("a",), np.zeros(1), np.zeros(1)))
     with ros_node("plant") as (plant, _), ros_node("sensor") as (sensor, _):
         model, impacts = advertise(plant, "/plant/model"), advertise(plant, "/impacts")
@@ -162,11 +161,8 @@ def test_a_late_recorder_has_earlier_messages_bursts_and_what_is_best_effort(
         assert bag.topics["/plant/joint_states"].quality == Quality(reliable=False)
 
 
-def test_only_the_topics_asked_for_are_recorded(
-    tmp_path: Path, ros_environment: dict[str, str]
-) -> None:
+def test_only_the_topics_asked_for_are_recorded(tmp_path: Path) -> None:
     """Topics may have relative names; a topic that never appears is reported as missing."""
-    assert ros_environment
     with (
         ros_node("plant") as (plant, _),
         recording(tmp_path / "bag", ["impacts", "/absent"]) as recorder,
@@ -243,13 +239,11 @@ def messages_on_disk(file: Path) -> list[int]:
 @pytest.mark.parametrize("definition", ["string data\n", None])
 def test_a_foreign_type_is_recorded_if_its_definition_is_installed(
     tmp_path: Path,
-    ros_environment: dict[str, str],
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
     definition: str | None,
 ) -> None:
     """Else one warning names topic and type; ``std_msgs/String`` stands for a foreign type."""
-    assert ros_environment
     fields = dict(typestore().fielddefs)
     del fields[interfaces.STRING]
     poor = type("Store", (), {"fielddefs": fields})()

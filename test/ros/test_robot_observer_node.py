@@ -39,7 +39,7 @@ from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 
 MANY = qos_profile(Quality(depth=2000))
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -221,12 +221,10 @@ def test_samples_that_come_too_fast_are_shed_so_that_the_newest_count(rig: Rig) 
 )
 def test_a_node_refuses_what_the_command_refuses(
     given: dict[str, str | float | tuple[str, ...]],
-    ros_environment: dict[str, str],
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """In the same line, with exit code 2."""
-    assert ros_environment
     only = tmp_path / "shoulder.yaml"
     lines = shared("config/measurements/hammer_arm.yaml").read_text("utf-8").splitlines()
     only.write_text("\n".join(lines[:-1]), encoding="utf-8")
