@@ -21,6 +21,12 @@ ARGUMENTS = {
     f"{SIMULATE} --jiter 0.1": "unrecognized arguments",
     f"{SIMULATE} --what": "see impact-observer simulate --help",
     f"{SIMULATE} --impacts-only -1e-3": "--impacts-only: ignored explicit argument '-1e-3'",
+    f"{SIMULATE} --missed 1.5": "1.5 found; expected 0 to 1",
+    f"{SIMULATE} --jitter -1e-3": "-1e-3 found; expected 0 to 1 s",
+    f"{SIMULATE} --delay nan": "nan found; expected 0 to 10 s",
+    f"{SIMULATE} --spurious often": "often found; expected 0 to 10000 1/s",
+    "observe bag -o x --start -1": "-1 found; expected a number, 0 or more",
+    "smooth bag -o x --duration 0": "0 found; expected a number above 0",
     "detect bag -o x --epoch 0": "above zero",
     "detect bag --kind switch -o x": "--kind",
     "observe bag --modl x.yaml": "required",
@@ -45,7 +51,22 @@ INPUTS = [
     (f"{SIMULATE} --rate 1e12", "samples: too many"),
     (f"{SIMULATE} --duration 1e10", "too late; the last one is"),
     ("simulate two_mass --duration 1 -o sample", "sample: exists already"),
+    (f"{SIMULATE} --mislabelled 0.1", "a model with 2 contacts or more: two_mass has 1"),
+    ("new ../a --from ball", "NAME: '../a' found"),
+    ("new rigs/a --from ball", "NAME: 'rigs/a' found"),
+    ("new 1 --from ball", "NAME: '1' found"),
+    ("check-model two_mass sample --initial-deviation 1,2", "expected one number"),
+    ("check-model two_mass --initial-deviation 1", "initial_deviation: given without a BAG"),
+    ("check-model hammer_arm sample", "hammer_arm: a robot"),
     ("observe nowhere -o x", "nowhere: does not exist"),
+    *(
+        (f"{command} sample --start {start}", said)
+        for command in ("observe -o x", "smooth -o x", "identify --free gap", "export -o x.csv")
+        for start, said in (
+            ("99", "from 99 s to the end after the epoch, 1.000000000 s; its stamps are"),
+            ("1e300", "choose another part with --start and --duration"),
+        )
+    ),
     ("compare", "no bag named"),
     ("compare nowhere", "nowhere: does not exist"),
     ("compare nowhere --plot v.gif", "v.gif"),
