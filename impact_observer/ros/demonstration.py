@@ -19,7 +19,7 @@ from impact_observer.io.writer import BagWriter
 from impact_observer.process_end import Interrupt, Stop
 from impact_observer.ros.parameters import TABLES
 from impact_observer.ros.recorder import Recorder
-from impact_observer.ros.session import ros_node, spin_once, warning_of
+from impact_observer.ros.session import ros_node
 from impact_observer.ros.wiring import (
     DISCOVERY,
     LOCAL,
@@ -82,11 +82,11 @@ def run(setup: DemoSetup, folder: Path, show: Callable[[float], object]) -> Path
             why = f"{folder}: cannot be made: {error.strerror}"
             raise UsageError(f"{why}; remove it or choose another name") from None
         with BagWriter(bag) as writer, _Processes(logs) as processes:
-            recorder, warn = Recorder(node, writer), warning_of(node)
+            recorder = Recorder(node, writer)
 
             def spin() -> None:
                 """Record; raise the error of a process that failed, or a signal."""
-                spin_once(executor, warn, _SPIN)
+                executor.spin_once(timeout_sec=_SPIN)
                 recorder.take()
                 processes.check()
                 if stop.requested:
