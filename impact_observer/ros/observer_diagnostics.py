@@ -74,7 +74,8 @@ class ObserverDiagnostics:
     def count(self, verdict: Verdict, latency: float) -> None:
         """Count a verdict, given ``latency`` (s) after the stamp of its event."""
         ruling, is_new = verdict.ruling, not verdict.revises
-        self.counts[_RULINGS.get(ruling, "")] += is_new
+        if ruling in _RULINGS:
+            self.counts[_RULINGS[ruling]] += is_new
         self.counts["large innovations"] += verdict.innovation > _LARGE_INNOVATION
         if ruling is Ruling.APPLIED:
             self._row, self._latency = 0, max(self._latency, latency)

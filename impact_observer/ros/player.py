@@ -108,9 +108,8 @@ class Player:
         names = sorted({publisher.topic_name for publisher in self._all()})
         others = [n for n in names if len(self._node.get_publishers_info_by_topic(n)) > 1]
         if others:
-            line = f"another node publishes {', '.join(others)} too"
-            warning = printable(f"{line}; its messages mix with the bag's")
-            self._node.get_logger().warning(warning)
+            found = f"another node publishes {', '.join(others)} too"
+            self._node.get_logger().warning(printable(f"{found}; its messages mix with the bag's"))
 
     def wait_for_subscribers(self, delay: float = _DELAY) -> bool:
         """Wait until events have a subscriber; without events, until every topic has one.
