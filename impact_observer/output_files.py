@@ -15,12 +15,14 @@ from pathlib import Path
 from impact_observer.errors import ImpactObserverError, OutputError, UsageError
 from impact_observer.input_files import shortened
 
+PICTURES = (".png", ".svg", ".pdf")
+"""What the name of a picture ends with."""
 _OF_THE_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
 _NO_TEMPORARY = "No usable temporary directory"
 """How Python begins to say that no disk takes a file."""
 
 
-def check_output(path: Path, suffixes: Sequence[str] = (".png", ".svg", ".pdf")) -> None:
+def check_output(path: Path, suffixes: Sequence[str] = PICTURES) -> None:
     """Raise unless a file can be written to ``path``; by default a picture.
 
     Args:
@@ -92,18 +94,20 @@ def replacing(path: Path) -> Iterator[Path]:
             raise unwritable(path, error) from None
 
 
-def check_outputs(paths: Sequence[Path]) -> None:
-    """Raise unless all of the files are new and can be written, by :func:`check_output`.
+def check_outputs(outputs: Sequence[tuple[Path, Sequence[str]]]) -> None:
+    """Raise unless all files are new and can be written; each has the suffixes that it may have.
 
     Raises:
-        UsageError: as there, or a file exists, or two of the files are one.
+        UsageError: as of :func:`check_output`, or a file exists, or two of the files are one.
     """
-    for number, path in enumerate(paths):
+    named = set[Path]()
+    for path, suffixes in outputs:
         if os.path.lexists(path):
             raise UsageError(f"{path}: exists already; remove it, or choose another name")
-        check_output(path, ())
-        if path.resolve() in [each.resolve() for each in paths[:number]]:
+        check_output(path, suffixes)
+        if path.resolve() in named:
             raise UsageError(f"{path}: named twice; choose another name for one of the files")
+        named.add(path.resolve())
 
 
 def unwritable(path: Path, error: Exception) -> ImpactObserverError:

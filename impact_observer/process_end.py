@@ -154,7 +154,7 @@ def run(program: str, job: Callable[[], int], *, own: bool = True) -> int:
         The exit code of ``job``; 2 for wrong use; 1 for another error, and after Ctrl-C; 128 and
         the number of another signal: 143 after SIGTERM.
     """
-    with _handled_by(_interrupt), _hooks(program):
+    with _handled_by(_interrupt):
         try:
             code = job()
         except SystemExit:
@@ -240,25 +240,6 @@ def _report(program: str, error: BaseException) -> int:
     if isinstance(error, ImpactObserverError):
         return error.exit_code
     return 2 if isinstance(error, OSError) and error.errno in _OF_THE_NAME else 1
-
-
-@contextmanager
-def _hooks(program: str) -> Iterator[None]:
-    """Within the block, errors of threads and of finalizers are one line too."""
-    before = threading.excepthook, sys.unraisablehook
-
-    def report(error: BaseException | None) -> None:
-        if error is not None and not isinstance(error, (SystemExit, KeyboardInterrupt)):
-            if os.environ.get(TRACEBACK):
-                traceback.print_exception(error)
-            _say(f"{program}: {one_line(error)}")
-
-    threading.excepthook = lambda args: report(args.exc_value)
-    sys.unraisablehook = lambda args: report(args.exc_value)
-    try:
-        yield
-    finally:
-        threading.excepthook, sys.unraisablehook = before
 
 
 def _say(line: str) -> None:

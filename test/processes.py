@@ -8,15 +8,20 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from impact_observer.io.interfaces import Quality
 from impact_observer.ros import entry
+from impact_observer.ros.topics import qos_profile
 
+Hosted = TypeVar("Hosted", bound=Node)
+Heard = TypeVar("Heard")
+MANY = Quality(depth=2000)
 PATIENCE = 90.0
 """How long a process may take to do what a test waits for, s."""
 SHORT_WAIT = 0.005
@@ -113,6 +118,12 @@ class Spinner:
         self.until(future.done)
         return future.result()
 
+    def hear(self, kind: type[Heard], topic: str, quality: Quality = MANY) -> list[Heard]:
+        """The messages that come on a topic from now on."""
+        heard = list[Heard]()
+        self.probe.create_subscription(kind, topic, heard.append, qos_profile(quality))
+        return heard
+
     def settle(self, seconds: float = 0.1) -> None:
         """Spin for ``seconds``, and then until there is nothing to do.
 
@@ -139,3 +150,13 @@ def spinning(arguments: list[str] | None = None) -> Iterator[Spinner]:
             node.destroy_node()
         spinner.executor.shutdown()
         rclpy.shutdown()
+
+
+@contextlib.contextmanager
+def hosted(
+    make: Callable[[], Hosted], parameters: Mapping[str, object], *remappings: str
+) -> Iterator[tuple[Hosted, Spinner]]:
+    """A node in this process, beside the probe of a spinner."""
+    with spinning(ros_arguments(parameters, *remappings)) as spinner:
+        spinner.add(node := make())
+        yield node, spinner

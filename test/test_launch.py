@@ -234,25 +234,20 @@ def test_parameter_file_holds_the_whole_table_at_its_defaults(path: Path) -> Non
 
 
 @pytest.mark.ros
+@pytest.mark.usefixtures("ros_environment")
 @pytest.mark.parametrize("path", PARAMETER_FILES, ids=lambda path: path.name)
-def test_node_accepts_its_parameter_file(path: Path, ros_environment: dict[str, str]) -> None:
+def test_node_accepts_its_parameter_file(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A node of another name comes up with it, and misses and mistrusts nothing."""
-    from processes import interrupt, running_node, spinning
+    from processes import spinning
 
-    arguments = ["--ros-args", "--params-file", str(path), "-r", "__node:=mine"]
-    with (
-        spinning() as spinner,
-        running_node(path.stem, arguments, ros_environment) as process,
-    ):
-        spinner.until(lambda: process.poll() is not None or seen(spinner.probe, "mine"))
-        code, errors = interrupt(process)
-    assert code == 0, errors
-    assert "does not exist" not in errors
+    from impact_observer.ros.entry import NODES
 
-
-def seen(probe: Any, name: str) -> bool:  # noqa: ANN401 (rclpy has no types)
-    """Whether a node of that name is on the graph."""
-    return name in probe.get_node_names()
+    module = importlib.import_module(f"impact_observer.ros.{path.stem}_node")
+    with spinning(["--ros-args", "--params-file", str(path), "-r", "__node:=mine"]) as spinner:
+        spinner.add(node := getattr(module, NODES[path.stem])())
+        assert node.is_active
+        assert node.get_name() == "mine"
+    assert "does not exist" not in "".join(capfd.readouterr())
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)

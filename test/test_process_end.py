@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import pytest
@@ -136,20 +135,6 @@ def test_an_unforeseen_error_names_its_place_and_asks_for_a_report(
     monkeypatch.setenv(TRACEBACK, "1")
     assert run("program", job, own=False) == 1
     assert "Traceback (most recent call last)" in capsys.readouterr().err
-
-
-def test_an_error_in_a_thread_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    """It does not end the process."""
-
-    def job() -> int:
-        thread = threading.Thread(target=lambda: 1 // 0)
-        thread.start()
-        thread.join()
-        return 0
-
-    assert run("program", job, own=False) == 0
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("program: unforeseen ZeroDivisionError: integer division")
 
 
 def test_a_reader_that_is_gone_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:

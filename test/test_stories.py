@@ -109,7 +109,8 @@ def test_the_live_rig_of_the_readme_runs(
     *nodes, play = [step for step in steps(LIVE_RIG) if isinstance(step, Run)]
     assert play.words == ("play", "bags/switch")
     watch = Run("", ("watch", "--model", "two_mass"))
-    *_, last = watched([*nodes, watch, play], (), ros_environment, beside_bags)
+    faster = ("--rate", "2")
+    *_, last = watched([*nodes, watch, play], faster, ros_environment, beside_bags)
     (estimate,) = last["observers"]
     assert last["impacts"] >= 22  # and perhaps a false positive
     assert dict(estimate["counts"])["applied"] >= 15  # a busy machine stamps some wrongly

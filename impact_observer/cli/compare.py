@@ -26,6 +26,7 @@ from impact_observer.cli.arguments import (
     observer_options,
 )
 from impact_observer.errors import UsageError
+from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import printable, say
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_observer_arguments(parser, ("initial_state",))
     add_shared(parser, "model", "plot", *PART, "json", plot="V over time: PNG, SVG or PDF")
-    parser.set_defaults(outputs=("plot",))
+    parser.set_defaults(outputs={"plot": PICTURES})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,12 +62,9 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.compare.error_tables import print_tables
     from impact_observer.compare.metrics import metrics_of
     from impact_observer.draw.pictures import save
-    from impact_observer.output_files import check_output
 
     _check_source(args)
     options = _options(args)
-    if args.plot is not None:
-        check_output(args.plot)
     if args.figure is not None:
         results = [(Path(args.figure), _simulate(options, args))]
     else:

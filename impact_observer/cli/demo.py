@@ -73,14 +73,11 @@ def run(args: argparse.Namespace) -> int:
     with Progress() as progress:
         progress.line(f"{read.system.name}: plant, {len(LAWS)} observers, {len(LAWS)} monitors")
         progress.show("starting the processes")
-
-        def show(now: demonstration.DemoProgress) -> None:
-            v = "  ".join(f"{law} {value:.2e}" for law, value in sorted(now.v.items()))
-            progress.show(
-                f"{now.time:5.1f}/{args.duration:g} s {now.impacts:4d} impacts  V [J]: {v}"
-            )
-
-        bag = demonstration.run(setup, folder, show)
+        bag = demonstration.run(
+            setup,
+            folder,
+            lambda now: progress.step("simulated time", now, args.duration),
+        )
     return check_result(bag, folder / "lyapunov.png")
 
 

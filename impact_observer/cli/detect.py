@@ -15,6 +15,7 @@ import re
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import PART, TABLE, add_shared, table_form
+from impact_observer.output_files import PICTURES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -59,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     pulses += " /phase_reference), or the column of a signal whose rising edges they are"
     parser.add_argument("--pulses", metavar="TOPIC", help=pulses)
-    parser.set_defaults(outputs=("plot",))
+    parser.set_defaults(outputs={"plot": PICTURES})
     add_shared(parser, "output")
     group = parser.add_argument_group("a signal", "how its table is to be read")
     add_shared(group, *TABLE)
@@ -76,11 +77,8 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.errors import UsageError
     from impact_observer.io.bag_files import SIGNAL_FILES
     from impact_observer.model import read_model
-    from impact_observer.output_files import check_output
 
     is_signal = args.bag.suffix.lower() in SIGNAL_FILES
-    if args.plot is not None:
-        check_output(args.plot)
     if is_signal and args.pulses is not None and args.pulses == args.topic:
         raise UsageError(f"--pulses {args.pulses}: the signal itself; expected another column")
     model = None if args.model is None else read_model(args.model)

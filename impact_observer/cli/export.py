@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="a .csv or .parquet file",
     )
-    parser.set_defaults(outputs=("output",))
+    parser.set_defaults(outputs={"output": ()})
     rows = parser.add_mutually_exclusive_group()
     rows.add_argument(
         "--what",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import PART, add_shared, number
 from impact_observer.errors import BagError, UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Options
+from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", metavar="FILE", type=Path, help=model)
     start = "write the identified initial state into the model too"
     add("--write-start", action="store_true", help=start)
-    parser.set_defaults(outputs=("output", "plot"))
+    parser.set_defaults(outputs={"output": (), "plot": PICTURES})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -157,7 +158,3 @@ def _check_usage(args: argparse.Namespace, free: tuple[str, ...]) -> None:
         raise UsageError("--check: no --clock-error; expected the deviation of a stamp, s")
     if not args.check and not free:
         raise UsageError("--free: names no parameter; expected some, such as restitution,gap")
-    if args.plot is not None:
-        from impact_observer.output_files import check_output
-
-        check_output(args.plot)

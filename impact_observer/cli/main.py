@@ -12,9 +12,9 @@ from types import ModuleType
 from typing import NoReturn
 
 from impact_observer import __version__
-from impact_observer.cli.arguments import TABLE, UNUSUAL_TABLE
 from impact_observer.errors import NotLinearError
 from impact_observer.matrix_threads import one_matrix_thread
+from impact_observer.output_files import check_outputs
 from impact_observer.plain_text import printable
 from impact_observer.process_end import run
 
@@ -103,18 +103,11 @@ def _run(argv: Sequence[str]) -> int:
             module.add_arguments(subparser)
     args, unknown = parser.parse_known_args(_joined(argv))
     if unknown:
-        words = " ".join(unknown)
-        why = "CHANGELOG.rst has what went in 0.4.0"
-        name, *values = unknown[0].removeprefix("--").split("=")
-        if name in (*TABLE, *UNUSUAL_TABLE) and hasattr(args, "sources"):
-            value = (*values, *unknown[1:], "true")[0]
-            why = f"write table: {{{name.replace('-', '_')}: {value}}} into a file for --sources"
-        subparsers.choices[args.command].error(f"unrecognized arguments: {words}; {why}")
-    if outputs := getattr(args, "outputs", ()):
-        from impact_observer.output_files import check_outputs
-
-        given = (getattr(args, name) for name in outputs)
-        check_outputs([path for path in given if path is not None])
+        found = f"unrecognized arguments: {' '.join(unknown)}"
+        subparsers.choices[args.command].error(f"{found}; CHANGELOG.rst has what went in 0.4.0")
+    outputs: dict[str, Sequence[str]] = getattr(args, "outputs", {})
+    given = [(getattr(args, name), suffixes) for name, suffixes in outputs.items()]
+    check_outputs([each for each in given if each[0] is not None])
     try:
         return int(_module(args.command).run(args))
     except NotLinearError as error:

@@ -3,7 +3,7 @@
 
 import argparse
 
-from impact_observer.cli.arguments import add_shared
+from impact_observer.cli.arguments import add_shared, positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--rate",
         metavar="R",
-        type=float,
+        type=positive,
         default=1.0,
         help="speed relative to the recording (default: 1)",
     )
@@ -29,19 +29,18 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.ros.session import require_ros
 
     require_ros()
-    from impact_observer.ros.player import Playing, play
+    from impact_observer.draw.reports import counted
+    from impact_observer.ros.player import play
 
-    how = Playing(
-        topics=None if args.topics is None else [*map(absolute, args.topics)],
-        rate=args.rate,
-        loop=args.loop,
-    )
+    topics = None if args.topics is None else [*map(absolute, args.topics)]
     what = f"playing {args.bag.resolve().name}"
     with Progress() as progress:
         count = play(
             args.bag,
-            how,
-            on_progress=lambda player: progress.step(what, player.elapsed, player.length),
+            topics,
+            rate=args.rate,
+            loop=args.loop,
+            on_progress=lambda elapsed, length: progress.step(what, elapsed, length),
         )
-        progress.line(f"{count} {'message' if count == 1 else 'messages'} played from {args.bag}")
+        progress.line(f"{counted(count, 'message')} played from {args.bag}")
     return 0

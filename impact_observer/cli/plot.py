@@ -10,6 +10,7 @@ from pathlib import Path
 
 from impact_observer.cli.arguments import PART, add_shared, names
 from impact_observer.errors import ModelError, UnfitBagError
+from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import say
 
 
@@ -19,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     file = "the picture: a PNG, SVG or PDF"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=file)
-    parser.set_defaults(outputs=("output",))
+    parser.set_defaults(outputs={"output": PICTURES})
     select = "coordinates that are drawn (default: those that move most, at most eight)"
     add("--select", metavar="NAME,...", type=names, help=select)
 
@@ -33,9 +34,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.bag_part import read_part
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.output_files import check_output
 
-    check_output(args.output)
     with BagReader(args.bag) as reader, Progress() as progress:
         read_part(reader, args.start, args.duration, reader.state_topics())
         motion = read_motion(

@@ -2,15 +2,16 @@
 """Record topics of running nodes into a bag, until Ctrl-C."""
 
 import argparse
+import math
 
-from impact_observer.cli.arguments import add_shared
+from impact_observer.cli.arguments import add_shared, positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add_shared(parser, "output", "topics")
     stop = "stop by itself after S seconds of wall time"
-    parser.add_argument("--duration", metavar="S", type=float, help=stop)
+    parser.add_argument("--duration", metavar="S", type=positive, help=stop)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -19,6 +20,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.ros.session import require_ros
 
     require_ros()
+    from impact_observer.draw.reports import counted
     from impact_observer.ros.recorder import record
 
     with Progress() as progress:
@@ -32,16 +34,16 @@ def run(args: argparse.Namespace) -> int:
         counts = record(
             args.output,
             args.topics,
-            duration=args.duration,
+            duration=args.duration or math.inf,
             on_topic=lambda topic, type_name: progress.line(f"recording {topic} [{type_name}]"),
             on_progress=show,
         )
         for topic, count in counts.items():
             why = {None: ": never appeared", 0: ": no messages"}.get(count, "")
             progress.line(f"{count or 0:>9} {topic}{why}")
-        total = sum(filter(None, counts.values()))
+        total = counted(sum(filter(None, counts.values())), "message")
         progress.line(
-            f"{total:>9} {'message' if total == 1 else 'messages'} in {args.output};"
-            f" impact-observer check {args.output} says whether an observer can use it"
+            f"{total} in {args.output}; impact-observer check {args.output} says whether an"
+            " observer can use it"
         )
     return 0

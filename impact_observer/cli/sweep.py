@@ -27,6 +27,7 @@ from impact_observer.cli.arguments import (
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.options import SETTLED, Option, Value
+from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import say
 from impact_observer.sensor_faults import SENSOR_FAULTS
 
@@ -67,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--jobs", metavar="N", type=count, help="processes (default: all cores)")
     scheduler = "of a Dask cluster, such as tcp://10.0.0.1:8786"
     where.add_argument("--dask", metavar="ADDRESS", help=scheduler)
-    parser.set_defaults(outputs=("output", "plot"))
+    parser.set_defaults(outputs={"output": (".parquet",), "plot": PICTURES})
     _add_swept_arguments(parser)
     group = parser.add_argument_group("observers", "the same for all of them")
     add_observer_arguments(group, _OF_OBSERVERS, initial_state="random, of each run")
@@ -132,7 +133,6 @@ def run(args: argparse.Namespace) -> int:
         SweepError: the sweep could not go on, or some cases have failed; the file has the others.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.output_files import check_output
     from impact_observer.sweep.engine import run_cases
     from impact_observer.sweep.summary import (
         groups_of,
@@ -143,9 +143,6 @@ def run(args: argparse.Namespace) -> int:
     )
 
     wanted = sweep_in(args)
-    check_output(args.output, (".parquet",))
-    if args.plot is not None:
-        check_output(args.plot)
     with Progress() as progress:
         progress.show(f"{args.output}: simulating")
         impacts, rows = len(wanted.plant_run.impacts), []

@@ -39,7 +39,7 @@ from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop, one_line
 from impact_observer.ros import parameters
 from impact_observer.ros.intake import Receiver
-from impact_observer.ros.session import refusals_of_ros, spin_once
+from impact_observer.ros.session import refusals_of_ros
 from impact_observer.ros.topics import message_class, qos_profile, ros_messages
 
 _PAUSE, _MOST_KINDS, _OTHERS = 10.0, 20, "other lines"
@@ -387,7 +387,7 @@ def spin(stop: Stop, make: Callable[[], BaseNode], args: Sequence[str]) -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.requested and not node.done:
-            spin_once(executor, node.note_error, _SIGNAL_PERIOD, node.ends_by)
+            spin_once(executor, node.note_error, node.ends_by)
     except UnsetError as error:
         raise UsageError(f"{error}: give --ros-args -p {error.option}:=FILE") from None
     except ExternalShutdownException:
@@ -401,6 +401,24 @@ def spin(stop: Stop, make: Callable[[], BaseNode], args: Sequence[str]) -> None:
             node.destroy_node()
         rclpy.try_shutdown()
         faulthandler.cancel_dump_traceback_later()
+
+
+def spin_once(
+    executor: SingleThreadedExecutor,
+    note: Callable[[Exception], object],
+    ends_by: tuple[type[Exception], ...],
+) -> None:
+    """Spin until a signal may have come; an error that is none of ``ends_by`` is only noted.
+
+    rclpy converts requests, messages and the time on ``/clock`` outside of callbacks, so that no
+    callback could guard against what others send.
+    """
+    try:
+        executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
+    except (ExternalShutdownException, *ends_by):
+        raise
+    except Exception as error:  # noqa: BLE001 (nothing else ends a node)
+        note(error)
 
 
 class LogLines:

@@ -9,44 +9,40 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.io import interfaces
-from impact_observer.io.messages import AnyMessage
 from impact_observer.io.writer import BagWriter
 from impact_observer.process_end import Interrupt, Stop
-from impact_observer.ros.parameters import TABLES, check
-from impact_observer.ros.recorder import Recorder, drain
-from impact_observer.ros.session import ros_node, spin_once, warning_of
-from impact_observer.ros.topics import message_class, qos_profile
+from impact_observer.ros.parameters import TABLES
+from impact_observer.ros.recorder import Recorder
+from impact_observer.ros.session import ros_node
 from impact_observer.ros.wiring import (
     DISCOVERY,
     LOCAL,
     DemoSetup,
     NodeSetup,
     following,
-    monitor_name,
     monitors,
-    observer_name,
+    node_name,
     observers,
     plant,
 )
+from impact_observer.stamps import seconds_between
 
 _START_UP = 30.0
 """How long the processes may take to appear on the graph, s."""
 _SHUT_DOWN = 10.0
 """How long a process may take to end after SIGINT, s."""
-_CATCH_UP = 5.0
-"""How long the observers may continue after the plant has ended, s."""
+_SILENCE, _CATCH_UP = 0.5, 5.0
+"""Time without an error of a monitor after which the estimates are at the end of the plant's run,
+and how long the estimates may take until then, s."""
 _DISCOVERY = 1.5
 """How long to search for other nodes on the same ROS domain, s."""
-_SPIN = 0.05
+_SPIN = 0.02
 """Between two checks of the processes, s."""
 
 
@@ -54,34 +50,13 @@ class DemonstrationError(ImpactObserverError):
     """A process failed, or did not start."""
 
 
-@dataclass(slots=True)
-class DemoProgress:
-    """The progress of a demonstration.
-
-    Attributes:
-        time: simulated time since the epoch, s.
-        impacts: number of events so far.
-        v: latest Lyapunov distance of each law, J.
-        reached: simulated time of the last estimate of each law since the epoch, s.
-    """
-
-    time: float = 0.0
-    impacts: int = 0
-    v: dict[str, float] = field(default_factory=dict)
-    reached: dict[str, float] = field(default_factory=dict)
-
-
-def run(
-    setup: DemoSetup,
-    folder: Path,
-    show: Callable[[DemoProgress], None],
-) -> Path:
+def run(setup: DemoSetup, folder: Path, show: Callable[[float], object]) -> Path:
     """Run the demonstration.
 
     Args:
         setup: the plant, laws and times.
         folder: folder to create for the bag and the ``logs`` of the processes.
-        show: called with the progress about twenty times a second.
+        show: called with the simulated time, s since the epoch.
 
     Returns:
         The bag.
@@ -93,19 +68,12 @@ def run(
         Interrupt: a signal has come.
     """
     for each in (plant(setup), *observers(setup), *monitors(setup)):
-        check(TABLES[each.executable], each.parameters)
+        for row in TABLES[each.executable]:
+            if row.name in each.parameters:
+                row.check(each.parameters[row.name])
     os.environ.setdefault(DISCOVERY, LOCAL)  # nobody else's nodes, on no other machine
     bag, logs = folder / "bag", folder / "logs"
     with Stop() as stop, ros_node("demo", use_sim_time=True) as (node, executor):
-        warn = warning_of(node)
-
-        def spin(what: str) -> None:
-            """Let messages in; raise the error of a process that failed, or a signal."""
-            spin_once(executor, warn, _SPIN)
-            processes.check()
-            if stop.requested:
-                raise Interrupt(stop.number, what)
-
         _refuse_other_nodes(node, executor)
         try:
             folder.mkdir()
@@ -114,66 +82,46 @@ def run(
             why = f"{folder}: cannot be made: {error.strerror}"
             raise UsageError(f"{why}; remove it or choose another name") from None
         with BagWriter(bag) as writer, _Processes(logs) as processes:
-            recorder, progress = Recorder(node, writer), DemoProgress()
-            _subscribe(node, setup, progress)
-            for each in (*observers(setup), *monitors(setup)):
-                processes.start(each)
-            _wait_for_connections(setup, recorder, partial(spin, "the plant had not begun"))
-            recorded = f"what was recorded is in {bag}"
-            master = processes.start(plant(setup, recorders=1))
-            while master.poll() is None:
-                spin(recorded)
-                show(progress)
-            _let_catch_up(setup, progress, partial(spin, recorded))
-            drain(executor, writer)
-            recorder.close()
+            recorder = Recorder(node, writer)
+
+            def spin() -> None:
+                """Record; raise the error of a process that failed, or a signal."""
+                executor.spin_once(timeout_sec=_SPIN)
+                recorder.take()
+                processes.check()
+                if stop.requested:
+                    raise Interrupt(stop.number, f"what was recorded is in {bag}")
+                now = node.get_clock().now().nanoseconds
+                show(max(seconds_between(setup.epoch, now), 0.0))
+
+            _run_nodes(setup, recorder, processes, spin)
         processes.check()
     return bag
 
 
-def _wait_for_connections(setup: DemoSetup, recorder: Recorder, spin: Callable[[], None]) -> None:
-    """Spin until the recorder is connected to all observers and monitors."""
-    until, missing = time.monotonic() + _START_UP, list[str]()
-    for law in setup.laws:
-        missing += [f"{observer_name(law)}/{n}" for n in ("state", "joint_states", "verdicts")]
-        missing.append(f"{monitor_name(law)}/error")
-    while missing := [each for each in missing if not recorder.is_connected(each)]:
+def _run_nodes(
+    setup: DemoSetup, recorder: Recorder, processes: "_Processes", spin: Callable[[], None]
+) -> None:
+    """Run the nodes to the end of the plant, and until the estimates are there, too."""
+    errors = [f"/{node_name('monitor', law)}/error" for law in setup.laws]
+    wanted = errors + [f"/{node_name('observer', law)}/state" for law in setup.laws]
+    for each in (*observers(setup), *monitors(setup)):
+        processes.start(each)
+    latest = time.monotonic() + _START_UP
+    while not all(map(recorder.is_connected, wanted)):
         spin()
-        if time.monotonic() > until:
-            raise DemonstrationError(f"{missing[0]}: not received after {_START_UP:g} s")
-
-
-def _let_catch_up(setup: DemoSetup, progress: DemoProgress, spin: Callable[[], None]) -> None:
-    """Spin until the estimates have reached the end of the plant's run."""
-    until, end = time.monotonic() + _CATCH_UP, setup.duration - 1.5 / setup.rate
-    while any(progress.reached.get(law, 0.0) < end for law in setup.laws):
+        if time.monotonic() > latest:
+            topics = ", ".join(wanted)
+            raise DemonstrationError(f"{topics}: not all received after {_START_UP:g} s")
+    master = processes.start(plant(setup, recorders=1))
+    while master.poll() is None:
         spin()
-        if time.monotonic() > until:
-            return
-
-
-def _subscribe(node: Node, setup: DemoSetup, progress: DemoProgress) -> None:
-    """Update ``progress`` by messages."""
-
-    def on_impact(_: object) -> None:
-        progress.impacts += 1
-
-    def on_error(message: AnyMessage) -> None:
-        progress.v[message.law] = message.v
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        reached = progress.reached[message.law] = (stamp - setup.epoch) * 1e-9
-        progress.time = max(progress.time, reached)
-
-    node.create_subscription(
-        message_class(interfaces.IMPACT_EVENT),
-        "impacts",
-        on_impact,
-        qos_profile(interfaces.EVENTS),
-    )
-    error = message_class(interfaces.ESTIMATE_ERROR)
-    for law in setup.laws:
-        topic = f"{monitor_name(law)}/error"
-        node.create_subscription(error, topic, on_error, qos_profile(interfaces.STATES))
+    end = silent = time.monotonic()
+    count = 0
+    while time.monotonic() < min(silent + _SILENCE, end + _CATCH_UP):
+        spin()
+        before, count = count, sum(recorder.counts.get(each, 0) for each in errors)
+        silent = time.monotonic() if count > before else silent
 
 
 def _refuse_other_nodes(node: Node, executor: SingleThreadedExecutor) -> None:

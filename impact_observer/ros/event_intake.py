@@ -48,7 +48,7 @@ class EventIntake:
       order in which they came, and evenly spread.
 
     Attributes:
-        counts: ``overflow``: events that were dropped; ``waited``: events that waited too long.
+        counts: ``dropped`` events, and those that ``waited too long``.
     """
 
     def __init__(self, observer: Observer, counts: Counter[str]) -> None:
@@ -89,12 +89,12 @@ class EventIntake:
         """
         if len(self._waiting) >= MOST_WAITING:
             kept = deque(islice(self._waiting, 0, None, 2))
-            self.counts["overflow"] += len(self._waiting) - len(kept)
+            self.counts["dropped"] += len(self._waiting) - len(kept)
             self._waiting = kept
             self._stride *= 2
         self._come += 1
         if self._come % self._stride:
-            self.counts["overflow"] += 1
+            self.counts["dropped"] += 1
         else:
             self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead))
 
@@ -138,14 +138,11 @@ class EventIntake:
 
         The verdict on an event that was ahead of the clock says that it revises an earlier one.
         """
-        for i, each in enumerate(self._batch):
-            if each.event is event:
-                del self._batch[i]
-                if each.was_ahead:
-                    first, *others = verdicts
-                    reason = f"{REVISED}{first.reason or 'as reported'}"
-                    verdicts = (first._replace(reason=reason), *others)
-                break
+        (place,) = (k for k, each in enumerate(self._batch) if each.event is event)
+        if self._batch.pop(place).was_ahead:
+            first, *others = verdicts
+            reason = f"{REVISED}{first.reason or 'as reported'}"
+            verdicts = (first._replace(reason=reason), *others)
         return event, verdicts
 
     def _refuse_what_waited(self) -> None:
@@ -155,7 +152,7 @@ class EventIntake:
             self._work = None
             self._waiting.extendleft(reversed(self._batch))
         while self._waiting and self._waiting[0].since < latest:
-            self.counts["waited"] += 1
+            self.counts["waited too long"] += 1
             limit = f"waited for more than {PATIENCE // NS_PER_S} s"
             self.reject(self._waiting.popleft().event, f"{limit}: the observer cannot keep up")
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
@@ -21,6 +20,7 @@ from impact_observer.io.interfaces import Interface, Quality
 from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.ros.topics import (
     MessageInfo,
+    PolledGroup,
     common_offer,
     message_class,
     qos_profile,
@@ -84,22 +84,6 @@ class ClockGate(Generic[_Item]):
         self._items.clear()
 
 
-class _PolledGroup(CallbackGroup):
-    """A subscription for which the executor does not wake, as that takes longer than a read."""
-
-    def can_execute(self, entity: object) -> bool:
-        """Whether the executor waits for ``entity``: never."""
-        del entity
-        return False
-
-    def beginning_execution(self, entity: object) -> bool:
-        """Whether the callback of ``entity`` may begin: it never does."""
-        return self.can_execute(entity)
-
-    def ending_execution(self, entity: object) -> None:
-        """Take note that the callback of ``entity`` has ended."""
-
-
 class Receiver(Generic[_Item]):
     """Hands over what is read of the messages of one topic, once the clock is near its stamp.
 
@@ -148,7 +132,7 @@ class Receiver(Generic[_Item]):
         self._on_items, self._read, self._stamp = on_items, read, stamp
         self._on_ahead = on_ahead or (lambda _, why: node.lines.error(f"{self.topic}: {why}"))
         self._choose = choose or self._as_declared
-        self._group = _PolledGroup() if is_polled else None
+        self._group = PolledGroup() if is_polled else None
         self._most_together = most_together
         self._gate: ClockGate[_Item] | None = None
         if stamp is not None:

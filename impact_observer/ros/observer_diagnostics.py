@@ -19,20 +19,45 @@ from impact_observer.states import Estimate
 
 _STALE = 60 * NS_PER_S
 """Time without an impact after which stamps and clock may disagree, ns."""
-
-_REFUSALS = (Ruling.REJECTED, Ruling.TOO_LATE, Ruling.UNKNOWN_CONTACT)
+_LARGE_INNOVATION = 6.0
+"""Innovation, in standard deviations, up to which the declared uncertainty explains an event."""
 _REFUSAL_HOLDS = 10.0
 """How long the status is not OK after the last refusal, s."""
 _BEHIND = 1.0
 """How long an event may wait before the observer counts as behind, s."""
+_RULINGS = {
+    Ruling.APPLIED: "events applied",
+    Ruling.REJECTED: "events rejected",
+    Ruling.INSERTED: "impacts inserted",
+}
+"""Keys of the rulings that are counted here; the observer counts the others as remarks."""
+_REFUSALS = (Ruling.REJECTED, Ruling.TOO_LATE, Ruling.UNKNOWN_CONTACT)
+_COUNTED = (
+    *_RULINGS.values(),
+    "from the future",
+    "invalid messages",
+    "dropped",
+    "waited too long",
+    "estimates corrected",
+    "estimates passed over",
+    "clock jumps back",
+    "large innovations",
+)
+_NEW_FAULTS = {
+    "missing sequence numbers": "events are missing",
+    "impacts inserted": "events were missed by the sensor, and inserted",
+    "dropped": "events were dropped, as too many came",
+    "waited too long": "events waited for too long",
+    "large innovations": "events had a large innovation",
+}
+"""Faults by the counts that have grown since the last status."""
 
 
 class ObserverDiagnostics:
     """Counts the actions of an observer node, and makes its diagnostic status.
 
     Attributes:
-        counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
-            ``invalid``, ``overflow``, ``waited``, ``large innovations`` and ``clock_jumps``.
+        counts: of what happened, by the keys of the status.
         failure: why there is no estimate; empty while there are estimates.
         behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
     """
@@ -40,26 +65,21 @@ class ObserverDiagnostics:
     def __init__(self, status: Callable[..., DiagnosticStatus], observer: Observer) -> None:
         """Report on the ``observer`` of a node, whose ``status`` makes statuses."""
         self._status, self._observer = status, observer
-        self.counts: Counter[str] = Counter()
+        self.counts, self._reported = Counter[str](), Counter[str]()
         self.failure = self.behind = ""
-        self._reported: Counter[str] = Counter()
         self._latency = 0.0
-        self._applied = False
         self._row = self._refused = self._waiting = 0
-        self._why = ""
-        self._refused_at = -math.inf
+        self._why, self._refused_at = "", -math.inf
 
-    def note_latency(self, latency: float) -> None:
-        """Note that an event was applied ``latency`` (s) after its stamp."""
-        self._latency = max(self._latency, latency)
-
-    def count(self, verdict: Verdict, *, large: bool) -> None:
-        """Count a verdict, and whether its innovation was large."""
-        self.counts[verdict.ruling.name.lower()] += not verdict.revises
-        self.counts["large innovations"] += large
-        if verdict.ruling is Ruling.APPLIED:
-            self._applied, self._row = True, 0
-        elif verdict.ruling in _REFUSALS and not verdict.revises:
+    def count(self, verdict: Verdict, latency: float) -> None:
+        """Count a verdict, given ``latency`` (s) after the stamp of its event."""
+        ruling, is_new = verdict.ruling, not verdict.revises
+        if ruling in _RULINGS:
+            self.counts[_RULINGS[ruling]] += is_new
+        self.counts["large innovations"] += verdict.innovation > _LARGE_INNOVATION
+        if ruling is Ruling.APPLIED:
+            self._row, self._latency = 0, max(self._latency, latency)
+        elif ruling in _REFUSALS and is_new:
             self.note_refusal(verdict.reason)
 
     def note_refusal(self, why: str) -> None:
@@ -73,10 +93,10 @@ class ObserverDiagnostics:
         self._waiting, self.behind, law = count, "", self._observer.law
         if waited > _BEHIND:
             remedies = ["declare clock_error"] if law.uncertainty.clock_error is None else []
-            remedies += ["take geometric"]
-            remedy = f"; {', or '.join(remedies)}" if law.has_covariance else ""
+            remedy = f"; {', or '.join([*remedies, 'take geometric'])}"
             found = f"{count} events wait, the oldest for {waited:.1f} s"
-            self.behind = f"{found}: the observer cannot keep up{remedy}"
+            cannot = "the observer cannot keep up"
+            self.behind = f"{found}: {cannot}{remedy if law.has_covariance else ''}"
         return self.behind
 
     def status(
@@ -97,32 +117,21 @@ class ObserverDiagnostics:
             silent: the live forces without a sample for too long; else empty.
             inputs: values of the live forces.
         """
-        level, message = self._health(now, last, mismatch, silent)
         observer = self._observer
         values = {
             "law": observer.law.name,
-            "events applied": self.counts["applied"],
-            "events rejected": self.counts["rejected"],
-            "impacts inserted": self.counts["inserted"],
+            **{key: self.counts[key] for key in _COUNTED},
             **{remark.value: observer.remarks[remark] for remark in Remark},
-            "from the future": self.counts["future"],
-            "invalid messages": self.counts["invalid"],
-            "dropped": self.counts["overflow"],
             "waiting": self._waiting,
-            "waited too long": self.counts["waited"],
             "missing sequence numbers": observer.missing,
-            "estimates corrected": self.counts["corrected"],
-            "estimates passed over": self.counts["passed_over"],
-            "clock jumps back": self.counts["clock_jumps"],
             "restarts": observer.restarts,
             "largest latency [s]": f"{self._latency:.6f}",
-            "large innovations": self.counts["large innovations"],
             **inputs,
             **({} if last is None else _estimate_values(last, observer.system.unit)),
             **self._obstacle(last),
         }
-        hardware = observer.system.name
-        return self._status("impacts", level, message, values, hardware)
+        level, message = self._health(now, last, mismatch, silent)
+        return self._status("impacts", level, message, values, observer.system.name)
 
     def _obstacle(self, last: Estimate | None) -> dict[str, object]:
         """Why the last estimate is not synchronized; empty if the estimate is."""
@@ -138,22 +147,17 @@ class ObserverDiagnostics:
         self, now: int, last: Estimate | None, mismatch: str, silent: str
     ) -> tuple[bytes, str]:
         """Level and message of the worst fault."""
-        if fault := mismatch or self.failure:
-            return DiagnosticStatus.ERROR, fault
-        if self._refused and not self._applied:
-            return DiagnosticStatus.ERROR, f"no event was applied, the last: {self._why}"
-        new = self._new_faults()
-        faults = (
-            self.behind,
-            self._clock_fault(now),
-            silent,
-            _doubt(last),
-            ", ".join(new),
+        applied = self.counts["events applied"]
+        none = (
+            f"no event was applied, the last: {self._why}" if self._refused > applied == 0 else ""
         )
-        fault = next(filter(None, faults), "") or self._refusals()
-        if fault:
+        new = self._new_faults()
+        if fault := mismatch or self.failure or none:
+            return DiagnosticStatus.ERROR, fault
+        faults = (self.behind, self._clock_fault(now), silent, _doubt(last), new, self._refusals())
+        if fault := next(filter(None, faults), ""):
             return DiagnosticStatus.WARN, fault
-        return DiagnosticStatus.OK, f"{self.counts['applied']} impacts applied"
+        return DiagnosticStatus.OK, f"{applied} impacts applied"
 
     def _refusals(self) -> str:
         """The latest refusals; empty once events are applied again for some seconds."""
@@ -176,22 +180,12 @@ class ObserverDiagnostics:
             return ""
         return f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"
 
-    def _new_faults(self) -> list[str]:
+    def _new_faults(self) -> str:
         """The faults of events since the last status."""
-        fine = (Ruling.APPLIED, Ruling.INSERTED)
-        refused = sum(self.counts[each.name.lower()] for each in Ruling if each not in fine)
-        large = self.counts["large innovations"]
-        faults = {
-            "events are missing": self._observer.missing,
-            "events were missed by the sensor, and inserted": self.counts["inserted"],
-            "events were not applied": refused + self.counts["invalid"],
-            "events were dropped, as too many came": self.counts["overflow"],
-            "events waited for too long": self.counts["waited"],
-            "events had a large innovation": large,
-        }
-        new = [f"{n} {what}" for what, n in faults.items() if n > self._reported[what]]
-        self._reported = Counter(faults)
-        return new
+        counts = self.counts + Counter({"missing sequence numbers": self._observer.missing})
+        new = counts - self._reported
+        self._reported = counts
+        return ", ".join(f"{counts[key]} {what}" for key, what in _NEW_FAULTS.items() if new[key])
 
 
 def _doubt(last: Estimate | None) -> str:
@@ -205,12 +199,11 @@ def _estimate_values(last: Estimate, unit: str) -> dict[str, object]:
     """The parameters, deviations and bounds of an estimate; ``unit`` is of the coordinates."""
     bound, differences = last.bound, last.convergence
     without = "refuted" if last.inconsistent else "none"
-    estimated = {
-        with_unit(name, unit): f"{value:.6g} +- {deviation:.2g}"
-        for name, value, deviation in last.parameters
-    }
     return {
-        **estimated,
+        **{
+            with_unit(name, unit): f"{value:.6g} +- {deviation:.2g}"
+            for name, value, deviation in last.parameters
+        },
         "synchronized": last.synchronized,
         "convergence [J]": f"{differences:.6g}" if differences >= 0 else "one replica only",
         "certified bound of V [J]": f"{bound:.6g}" if bound >= 0 else without,

@@ -24,7 +24,6 @@ from impact_observer.io.messages import AnyMessage, MessageError, read_event, re
 from impact_observer.model import read_model
 from impact_observer.model.measurement import read_measurements
 from impact_observer.observer import initial_state, make_observer
-from impact_observer.observer.misfit import EXPLAINED
 from impact_observer.observer.verdicts import Judged
 from impact_observer.options import OBSERVER_OPTIONS, Options, Value
 from impact_observer.ros import parameters
@@ -42,8 +41,6 @@ _POLL_PERIOD = 0.05
 """How often samples are taken, s; they are before estimates and events, too."""
 _TURN = 0.05
 """Processor time for the predictions that are due together, s."""
-_LARGE_INNOVATION = 6.0
-"""Innovation, in standard deviations, up to which the declared uncertainty explains an event."""
 _BRIEF = 0.01
 """Time that estimates may take without a rest after them, s."""
 _LONGEST_REST = 0.25
@@ -78,8 +75,10 @@ class ObserverNode(BaseNode):
         self.observer = make_observer(model, options, measurements=sensors)
         for doubt in model.doubts:
             self.lines.warning(doubt)
-        self._say_torques()
-        system = self.observer.system
+        system, robot = self.observer.system, self.observer.robot
+        if robot is not None and self.observer.law.has_covariance:
+            for kind, text in robot.description.torque_remarks:
+                (self.lines.warning if kind == "warning" else self.lines.info)(text)
         self._initial = initial_state(options.initial_state, system)
         self._restarts = 0
         self._forget_estimates()
@@ -137,16 +136,12 @@ class ObserverNode(BaseNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Publish from now on, if each sensor has had a sample or need not have had one."""
         wanted = self.values["wait_for_measurements"]
-        if missing := self._samples.without_sample() if wanted else ():
-            return self._wait_for(missing)
-        self._waits_for = ()
-        return super().on_activate(state)
-
-    def _wait_for(self, missing: tuple[str, ...]) -> TransitionCallbackReturn:
-        """Stay inactive, and name the ``missing`` sensors."""
+        missing = self._samples.without_sample() if wanted else ()
+        self._waits_for = missing if self.values["autostart"] else ()
+        if not missing:
+            return super().on_activate(state)
         line = f"no measurement yet of {', '.join(missing)}"
-        if self.values["autostart"]:
-            self._waits_for = missing
+        if self._waits_for:
             self.lines.warning(f"not active: {line}")
         return self.refuse(UsageError(line))
 
@@ -154,14 +149,6 @@ class ObserverNode(BaseNode):
     def _last_stamp(self) -> int:
         """Stamp of the last estimate that was published, ns; 0 before the first one."""
         return self._last.stamp if self._last is not None else 0
-
-    def _say_torques(self) -> None:
-        """Log what the observer of a robot does not know of torques, or not from the model."""
-        robot = self.observer.robot
-        if robot is not None and self.observer.law.has_covariance:
-            say = {"warning": self.lines.warning, "note": self.lines.info}
-            for kind, text in robot.description.torque_remarks:
-                say[kind](text)
 
     def _forget_estimates(self) -> None:
         """Return to the state before the first estimate."""
@@ -187,13 +174,13 @@ class ObserverNode(BaseNode):
         try:
             return [read_event(message)]
         except MessageError as error:
-            self._counts["invalid"] += 1
+            self._counts["invalid messages"] += 1
             self._diagnostics.note_refusal(str(error))
             raise
 
     def _on_ahead(self, event: ImpactEvent, why: str) -> None:
         """Reject an event until the clock is near its stamp and its epoch."""
-        self._counts["future"] += 1
+        self._counts["from the future"] += 1
         if event.epoch > event.stamp:
             why = why.replace("stamped", "its epoch is")
         self.intake.reject(event, why)
@@ -232,16 +219,14 @@ class ObserverNode(BaseNode):
                 self.lines.warning(
                     f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
                 )
-            late = event.stamp <= self._last_stamp
-            is_corrected |= late and any(each.ruling is Ruling.APPLIED for each in verdicts)
-            pending.append((event, verdicts, late))
+            is_applied = any(each.ruling is Ruling.APPLIED for each in verdicts)
+            is_corrected |= is_applied and event.stamp <= self._last_stamp
+            pending.append((event, verdicts))
         if is_corrected:
             self._correct_from(0)
-        for event, verdicts, late in pending:
+        for event, verdicts in pending:
             latency = max(seconds_between(event.stamp, self.stamp_now()), 0.0)
-            if any(each.ruling is Ruling.APPLIED for each in verdicts):
-                self._diagnostics.note_latency(latency)
-            self._publish_verdicts(self._with_lag_reason(verdicts) if late else verdicts, latency)
+            self._publish_verdicts(verdicts, latency)
         if self.observer.samples.sensors:  # samples that came while events were inserted
             self._samples.use_waiting()
 
@@ -249,7 +234,7 @@ class ObserverNode(BaseNode):
         """Publish the last estimate again if knowledge has changed from ``stamp`` (ns) on."""
         if self._last is not None and stamp <= self._last_stamp:
             self._publish(self._last_stamp)
-            self._counts["corrected"] += 1
+            self._counts["estimates corrected"] += 1
 
     def _on_samples(self, stamp: int, revised: Sequence[Verdict]) -> None:
         """Publish the estimates after ``stamp`` (ns) that samples change, and verdicts."""
@@ -264,43 +249,28 @@ class ObserverNode(BaseNode):
             self.trigger_activate()
 
     def _publish_verdicts(self, verdicts: Iterable[Verdict], latency: float) -> None:
+        """Publish verdicts, and the estimates of the impacts that they apply, insert or reject."""
         for verdict in verdicts:
-            self._diagnostics.count(verdict, large=verdict.innovation > _LARGE_INNOVATION)
+            self._diagnostics.count(verdict, latency)
             self._log(verdict)
             self.publish(self._verdicts, self.make.verdict, verdict, latency)
-            self._publish_impact(verdict)
-
-    def _publish_impact(self, verdict: Verdict) -> None:
-        """Publish the estimate of the impact that a verdict applies, inserts or rejects."""
-        try:
-            impact = self.observer.impact(verdict)
-        except Exception as error:  # noqa: BLE001 (the node goes on without this estimate)
-            self.lines.error(f"no estimate of an impact of {verdict.contact}: {error}")
-            return
-        if impact is not None:
-            self.publish(self._estimated_impacts, self.make.impact_estimate, impact)
-
-    def _with_lag_reason(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
-        """``verdicts`` on an event that is late in spite of a lag, with the lag as reason."""
-        first, *others = verdicts
-        if not self.values["lag"] or first.ruling is not Ruling.APPLIED:
-            return verdicts
-        later = "later than lag: the last estimate is published again"
-        return (first._replace(reason="; ".join(filter(None, (first.reason, later)))), *others)
+            try:
+                impact = self.observer.impact(verdict)
+            except Exception as error:  # noqa: BLE001 (the node goes on without this estimate)
+                self.lines.error(f"no estimate of an impact of {verdict.contact}: {error}")
+                continue
+            if impact is not None:
+                self.publish(self._estimated_impacts, self.make.impact_estimate, impact)
 
     def _log(self, verdict: Verdict) -> None:
         """Log a verdict, but not that an event was applied without a remark."""
         if verdict.ruling is Ruling.APPLIED and not verdict.reason:
             return
-        ruling, reason = verdict.ruling.name.lower(), verdict.reason
+        what, reason = f"{verdict.contact}: {verdict.ruling.name.lower()}", verdict.reason
         short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]} ..."
-        line = f"event {verdict.sequence} {verdict.contact}: {ruling}, {short}"
-        first = re.split(r"[:;,]", without_numbers(reason), maxsplit=1)[0]
-        kind = f"{verdict.contact}: {ruling}, {first}"
-        if verdict.ruling is not Ruling.APPLIED:
-            self.lines.warning(line, kind)
-        else:
-            self.lines.info(line, kind)
+        kind = re.split(r"[:;,]", without_numbers(reason), maxsplit=1)[0]
+        log = self.lines.info if verdict.ruling is Ruling.APPLIED else self.lines.warning
+        log(f"event {verdict.sequence} {what}, {short}", f"{what}, {kind}")
 
     def _on_timer(self) -> None:
         """Use what has arrived, and publish the estimates that are due."""
@@ -325,13 +295,13 @@ class ObserverNode(BaseNode):
         epoch = self.observer.epoch or start
         stamps, skipped = due_stamps(rate, epoch, start, self._due_until, now)
         self._due_until = stamps[-1] if stamps else self._due_until
-        self._counts["passed_over"] += skipped
+        self._counts["estimates passed over"] += skipped
         end = time.thread_time() + _TURN
         for i, stamp in enumerate(stamps, start=1):
             if time.thread_time() < end or i in {1, len(stamps)}:
                 self._publish(stamp)
             else:
-                self._counts["passed_over"] += 1
+                self._counts["estimates passed over"] += 1
         spent = time.monotonic() - begin
         if spent > max(1.0 / rate, _BRIEF):
             self._rests_until = begin + spent + min(spent, _LONGEST_REST)
@@ -353,15 +323,8 @@ class ObserverNode(BaseNode):
             self.publish(self._joint_states, self.make.joint_state_of, state)
         if estimate.bound != (-1.0 if last is None else last.bound):
             self.publish(self._bounds, self.make.bound, estimate)
-        if estimate.misfit != (last.misfit if last is not None else ""):
-            if estimate.misfit:
-                self.lines.warning(estimate.misfit)
-            else:
-                self.lines.info(EXPLAINED)
-        self._warn_of_held_forces(stamp)
-
-    def _warn_of_held_forces(self, stamp: int) -> None:
-        """Warn once of sampled forces that are held after their last sample."""
+        if estimate.misfit and (last is None or not last.misfit):
+            self.lines.warning(estimate.misfit)
         epoch = self.observer.epoch
         held = self.observer.system.held_force((stamp - epoch) / NS_PER_S) if epoch else ""
         if held and not self._is_held:
@@ -377,7 +340,7 @@ class ObserverNode(BaseNode):
             self.observer.live.clear()
         self.observer.restart("the clock jumped back")
         self._forget_estimates()
-        self._counts["clock_jumps"] += 1
+        self._counts["clock jumps back"] += 1
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Set the initial state, at the last estimate; a robot may start at its encoders again."""

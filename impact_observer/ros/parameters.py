@@ -219,14 +219,3 @@ def on_change(
 
     node.add_on_set_parameters_callback(allowed)
     node.add_post_set_parameters_callback(lambda given: apply(known(given)))
-
-
-def check(table: tuple[Option, ...], values: Mapping[str, Value]) -> None:
-    """Check all ``values`` whose parameter is in the table.
-
-    Raises:
-        UsageError: a value is not allowed; names parameter, value and what is expected.
-    """
-    for each in table:
-        if each.name in values:
-            each.check(values[each.name])

@@ -7,14 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import chain, groupby
-from typing import TypeAlias
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Verdict
-from impact_observer.io.interfaces import FORCING, JOINT_STATE, Interface, Quality
+from impact_observer.io.interfaces import FORCING, Interface, Quality
 from impact_observer.io.live_inputs import efforts_on
 from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, SensorReader
 from impact_observer.io.messages import AnyMessage, LiveSample, MessageError, read_efforts
@@ -37,7 +36,6 @@ _FEW = 20
 """Instants of a call whose samples are used without a look at their cost."""
 _COUNTED = 20
 """Samples from which on the rate of a sensor is known."""
-_Sample: TypeAlias = LiveSample | SensorSample
 
 
 def ages(live: LiveSignals | None, now: int) -> dict[str, float]:
@@ -58,8 +56,8 @@ def silence(live: LiveSignals | None, now: int, timeout: float) -> str:
 class SampleIntake:
     """Gives the samples of sensors and live forces that a node receives to its observer.
 
-    Messages are polled, as thousands may come in a second. Where they come faster than they can be
-    used, some are shed evenly, so that the newest are used in time.
+    Messages are polled, as thousands may come in a second. Where those of sensors come faster than
+    they can be used, some are shed evenly, so that the newest are used in time.
 
     Attributes:
         topics: absolute names of the topics.
@@ -90,33 +88,33 @@ class SampleIntake:
         self._first: dict[int, tuple[int, int]] = {}
         self._told = [Counter[str]() for _ in self._sensors]
         self._ended = time.monotonic()
-        robot = observer.robot
-        self._forces: Interface | None = None
+        self._topics = [node.resolve_topic_name(e.measurement.topic) for e in self._sensors]
+        self._receivers = {each: self._receiver(each) for each in dict.fromkeys(self._topics)}
+        self._forces: Receiver[LiveSample] | None = None
         if observer.live is not None and observer.live.inputs:
-            declared = None if robot is None else robot.description.forces
-            self._forces = efforts_on(declared[0]) if declared else FORCING
-        names = [node.resolve_topic_name(each.measurement.topic) for each in self._sensors]
-        self._receivers = {
-            each: self._receive(Interface(each, "", _QUALITY)) for each in dict.fromkeys(names)
-        }
-        self._efforts = ""
-        if self._forces is not None:
-            self._efforts = node.resolve_topic_name(self._forces.name)
-            if self._efforts not in self._receivers:
-                self._receivers[self._efforts] = self._receive(self._forces)
-        self.topics = tuple(self._receivers)
+            declared = None if observer.robot is None else observer.robot.description.forces
+            self._others_count = declared is None  # of a robot other joints may share the topic
+            self._forces = Receiver(
+                node,
+                efforts_on(declared[0]) if declared else FORCING,
+                self._use_forces,
+                read=self._read_forces,
+                stamp=lambda sample: sample.stamp,
+                is_polled=True,
+            )
+        own = [self._forces.topic] if self._forces is not None else []
+        self.topics = tuple(dict.fromkeys([*self._receivers, *own]))
 
-    def _receive(self, interface: Interface) -> Receiver[_Sample]:
-        """The receiver of a topic; one of sensors takes any type that a sensor can read."""
-        topic = self._node.resolve_topic_name(interface.name)
+    def _receiver(self, topic: str) -> Receiver[SensorSample]:
+        """The receiver of a topic of any type that a sensor can read."""
         return Receiver(
             self._node,
-            interface,
+            Interface(topic, "", _QUALITY),
             self._use,
             read=lambda message, _: self._read(topic, message),
             stamp=lambda sample: sample.stamp,
-            on_ahead=partial(self._note_ahead, topic),
-            choose=None if interface.type else partial(self._choose, topic),
+            on_ahead=lambda sample, why: self._report(sample.sensor, why),
+            choose=partial(self._choose, topic),
             is_polled=True,
         )
 
@@ -127,8 +125,8 @@ class SampleIntake:
             UsageError: none can.
         """
         readers, why = list[SensorReader](), ""
-        for sensor in self._sensors:
-            if self._node.resolve_topic_name(sensor.measurement.topic) == topic:
+        for sensor, own in zip(self._sensors, self._topics, strict=True):
+            if own == topic:
                 try:
                     readers.append(SensorReader(sensor.measurement, sensor.index, type_name))
                 except UsageError as error:
@@ -141,6 +139,8 @@ class SampleIntake:
 
     def take_arrived(self) -> None:
         """Use the samples that have arrived, and those to which the clock has come near."""
+        if self._forces is not None:
+            self._forces.take_arrived()
         for each in self._receivers.values():
             each.take_arrived()
 
@@ -149,32 +149,60 @@ class SampleIntake:
         since = min((s.stamp for s in self._observer.samples.waiting), default=MAX_STAMP)
         self._on_samples(since, self._measured(()))
 
-    def _use(self, samples: Sequence[_Sample]) -> None:
-        """Give samples to the observer; of too many, some."""
-        since, revised = MAX_STAMP, list[Verdict]()
-        for each in samples:
-            if isinstance(each, LiveSample):
-                since = min(since, each.stamp)
-                self._add_force(each)
-        measured = [each for each in samples if isinstance(each, SensorSample)]
-        for some in self._in_time(measured):
-            for each in some:
-                self.problems[each.sensor] = ""
-                self._first.setdefault(each.sensor, (each.stamp, self._count(each.sensor)))
-            since = min(since, *(each.stamp for each in some))
-            revised += self._measured(some)
-        if since < MAX_STAMP:
-            self._on_samples(since, revised)
-
-    def _add_force(self, sample: LiveSample) -> None:
-        self.counts["samples"] += 1
+    def _read_forces(self, message: AnyMessage, _: object) -> list[LiveSample]:
+        """The samples of forces in a message, of a robot those of its joints."""
         assert self._observer.live is not None, "only then forces are received"
-        if problem := self._observer.live.add_force(*sample):
-            self._refuse_force(problem)
+        try:
+            samples = read_efforts(message)
+        except MessageError as error:
+            self._refuse_force(str(error))
+            return []
+        known = self._observer.live.inputs
+        return [each for each in samples if self._others_count or each.name in known]
+
+    def _use_forces(self, samples: Sequence[LiveSample]) -> None:
+        """Give samples of forces to the observer."""
+        assert self._observer.live is not None, "only then forces are received"
+        for each in samples:
+            self.counts["samples"] += 1
+            if problem := self._observer.live.add_force(*each):
+                self._refuse_force(problem)
+        self._on_samples(min(each.stamp for each in samples), ())
 
     def _refuse_force(self, problem: str) -> None:
         self.counts["invalid samples"] += 1
-        self._node.lines.error(f"{self._efforts}: {problem}")
+        assert self._forces is not None
+        self._node.lines.error(f"{self._forces.topic}: {problem}")
+
+    def _read(self, topic: str, message: AnyMessage) -> list[SensorSample]:
+        """The samples of sensors in a message."""
+        now, samples = self._node.stamp_now(), list[SensorSample]()
+        for reader in self._readers[topic]:
+            try:
+                sample = reader.sample(message, now)
+            except UsageError as error:
+                self._refuse(reader.index, str(error))
+                continue
+            if sample is None:
+                declared = reader.measurement
+                missing = f"no {declared.quantity} of {declared.joint!r} on {topic}"
+                self.problems[reader.index] = missing
+            elif (behind := (now - sample.stamp) / NS_PER_S) > self._past:
+                what = f"stamped {behind:.3f} s before the clock"
+                self._refuse(reader.index, f"{what}; history allows {self._past:g} s")
+            else:
+                samples.append(sample)
+        return samples
+
+    def _use(self, samples: Sequence[SensorSample]) -> None:
+        """Give samples of sensors to the observer; of too many, some."""
+        revised = list[Verdict]()
+        for some in self._in_time(samples):
+            for each in some:
+                self.problems[each.sensor] = ""
+                self._first.setdefault(each.sensor, (each.stamp, self._count(each.sensor)))
+            revised += self._measured(some)
+        self._on_samples(min(each.stamp for each in samples), revised)
 
     def _in_time(self, samples: Sequence[SensorSample]) -> Iterator[Sequence[SensorSample]]:
         """Yields late ``samples``, those of the first new instants, and of others as time allows.
@@ -209,40 +237,6 @@ class SampleIntake:
         except ImpactObserverError as error:
             self._node.lines.error(f"samples of sensors: {error}")
             return ()
-
-    def _read(self, topic: str, message: AnyMessage) -> list[_Sample]:
-        """The samples in a message."""
-        now, samples = self._node.stamp_now(), list[_Sample]()
-        receiver, live = self._receivers[topic], self._observer.live
-        if topic == self._efforts and receiver.type_name == JOINT_STATE and live is not None:
-            try:
-                known = None if self._forces is FORCING else live.inputs
-                samples += [s for s in read_efforts(message) if known is None or s.name in known]
-            except MessageError as error:
-                self._refuse_force(str(error))
-        for reader in self._readers.get(topic, ()):
-            try:
-                sample = reader.sample(message, now)
-            except UsageError as error:
-                self._refuse(reader.index, str(error))
-                continue
-            if sample is None:
-                declared = reader.measurement
-                missing = f"no {declared.quantity} of {declared.joint!r} on {topic}"
-                self.problems[reader.index] = missing
-            elif (behind := (now - sample.stamp) / NS_PER_S) > self._past:
-                what = f"stamped {behind:.3f} s before the clock"
-                self._refuse(reader.index, f"{what}; history allows {self._past:g} s")
-            else:
-                samples.append(sample)
-        return samples
-
-    def _note_ahead(self, topic: str, sample: _Sample, why: str) -> None:
-        """Report a sample that is ahead of the clock."""
-        if isinstance(sample, SensorSample):
-            self._report(sample.sensor, why)
-        else:
-            self._node.lines.error(f"{topic}: {why}")
 
     def _refuse(self, index: int, problem: str) -> None:
         """Count and report a sample of a sensor that cannot be used."""
@@ -280,25 +274,22 @@ class SampleIntake:
             return {}
         return {
             **{f"age of {name} [s]": f"{age:.3f}" for name, age in ages(live, now).items()},
-            "samples": self.counts["samples"],
-            "invalid samples": self.counts["invalid samples"],
+            **{key: self.counts[key] for key in ("samples", "invalid samples")},
             "samples too late": live.late,
         }
 
     def statuses(self, now: int) -> list[DiagnosticStatus]:
-        """The state of each sensor at ``now`` (ns)."""
+        """The state of each sensor at ``now`` (ns): its values, and the worst of its faults."""
         return [self._status(index, now) for index in range(len(self._sensors))]
 
     def _status(self, index: int, now: int) -> DiagnosticStatus:
-        """The status of a sensor: its values, and the worst of its faults."""
         sensor, samples = self._sensors[index], self._observer.samples
         counts, newest = samples.counts[index], samples.newest[index]
-        topic = self._node.resolve_topic_name(sensor.measurement.topic)
         age = (now - newest) / NS_PER_S if newest else math.inf
-        fault = self._fault(index, topic, age)
+        fault = self._fault(index, age)
         kinds = ("samples", "accepted", "rejected", "unused", "invalid", "dropped", "shed")
         values = {
-            "topic": topic,
+            "topic": self._topics[index],
             **{kind: counts[kind] for kind in kinds},
             "rate [Hz]": f"{self.rate(index):.4g}",
             "age [s]": f"{age:.3f}",
@@ -311,18 +302,12 @@ class SampleIntake:
             hardware=sensor.name,
         )
 
-    def _fault(self, index: int, topic: str, age: float) -> str:
-        """The fault of a sensor since its last status; empty without a fault.
-
-        Args:
-            index: of the sensor.
-            topic: absolute name of its topic.
-            age: of its newest sample, s; infinite without any.
-        """
+    def _fault(self, index: int, age: float) -> str:
+        """The fault of a sensor since its last status; ``age`` (s) is of its newest sample."""
         counts = self._observer.samples.counts[index]
         timeout = self._sensors[index].measurement.timeout
         new, self._told[index] = counts - self._told[index], Counter(counts)
-        if fault := self.problems[index] or self._receivers[topic].fault:
+        if fault := self.problems[index] or self._receivers[self._topics[index]].fault:
             return fault
         if age > timeout:
             silent = f"no sample for {age:.3g} s" if age < math.inf else "no sample yet"

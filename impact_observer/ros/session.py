@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS in a command: the check that ROS can be used, one node, and spinning."""
+"""ROS in a command: the check that ROS can be used, and one node."""
 
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.plain_text import printable
+from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
     from rclpy.executors import SingleThreadedExecutor
@@ -103,36 +102,3 @@ def ros_node(
             node.destroy_node()
     finally:
         context.try_shutdown()
-
-
-def spin_once(
-    executor: "SingleThreadedExecutor",
-    note: Callable[[Exception], object],
-    timeout: float | None = None,
-    ends_by: tuple[type[Exception], ...] = (ImpactObserverError, OSError),
-) -> None:
-    """Spin once; an error that is none of ``ends_by`` is noted, and ends nothing.
-
-    rclpy converts requests, messages and the time on ``/clock`` outside of callbacks, so that no
-    callback could guard against what others send.
-
-    Args:
-        executor: the executor of a node.
-        note: called with the error.
-        timeout: longest time to wait for work, s; None for any time.
-        ends_by: errors that are raised.
-    """
-    from rclpy.executors import ExternalShutdownException
-
-    try:
-        executor.spin_once(timeout_sec=timeout)
-    except (ExternalShutdownException, *ends_by):
-        raise
-    except Exception as error:  # noqa: BLE001 (nothing else ends a node)
-        note(error)
-
-
-def warning_of(node: "Node") -> Callable[[Exception], object]:
-    """A function that logs an error as a warning of ``node``, every five seconds at most."""
-    log = node.get_logger()
-    return lambda error: log.warning(printable(str(error)), throttle_duration_sec=5.0)

@@ -7,6 +7,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any, TypeAlias
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -81,6 +82,15 @@ def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality
     """The quality of service that all publishers of a topic offer; at least one publisher."""
     depth = usual_quality(topic).depth
     return Quality.common(offered_quality(each.qos_profile, depth) for each in publishers)
+
+
+class PolledGroup(CallbackGroup):
+    """Subscriptions for which no executor wakes, as that takes longer than a read."""
+
+    def can_execute(self, entity: object) -> bool:
+        """Whether the executor waits for ``entity``: never."""
+        del entity
+        return False
 
 
 def waiting_messages(subscription: Subscription, most: int) -> Iterator[tuple[Any, MessageInfo]]:

@@ -94,7 +94,7 @@ def given_parameters(given: Mapping[str, str], table: Sequence[Option]) -> list[
 
 @dataclass(frozen=True, slots=True)
 class NodeSetup:
-    """The executable, name, parameters and topics of a node to start.
+    """A node to start.
 
     Attributes:
         executable: ``plant``, ``observer`` or ``monitor``.
@@ -132,61 +132,50 @@ class DemoSetup:
     epoch: int
 
 
-def observer_name(law: str) -> str:
-    """Name of the observer node of a law."""
-    return f"observer_{law.replace('-', '_')}"
-
-
-def monitor_name(law: str) -> str:
-    """Name of the monitor node of a law's observer."""
-    return f"monitor_{law.replace('-', '_')}"
+def node_name(executable: str, law: str) -> str:
+    """Name of the ``observer`` or ``monitor`` of a law."""
+    return f"{executable}_{law.replace('-', '_')}"
 
 
 def plant(setup: DemoSetup, recorders: int = 0) -> NodeSetup:
     """The plant, which starts when all observers or monitors, and ``recorders``, subscribe."""
-    return NodeSetup(
-        "plant",
-        "plant",
-        {
-            "model": setup.model,
-            "rate": setup.rate,
-            "epoch": setup.epoch,
-            "duration": setup.duration,
-            "publish_clock": True,
-            "clock_rate": max(setup.rate, 100.0),
-            "realtime_factor": setup.realtime_factor,
-            "wait_for_subscribers": len(setup.laws) + recorders,
-        },
-    )
+    given: dict[str, Value] = {
+        "model": setup.model,
+        "rate": setup.rate,
+        "epoch": setup.epoch,
+        "duration": setup.duration,
+        "publish_clock": True,
+        "clock_rate": max(setup.rate, 100.0),
+        "realtime_factor": setup.realtime_factor,
+        "wait_for_subscribers": len(setup.laws) + recorders,
+    }
+    return NodeSetup("plant", "plant", given)
 
 
-def observers(setup: DemoSetup) -> tuple[NodeSetup, ...]:
+def observers(setup: DemoSetup) -> list[NodeSetup]:
     """An observer for each law."""
-    return tuple(
-        NodeSetup(
-            "observer",
-            observer_name(law),
-            {
-                "use_sim_time": True,
-                "model": setup.model,
-                "law": law,
-                "initial_state": setup.initial_state,
-                "rate": setup.rate,
-                "epoch": setup.epoch,
-            },
-        )
+    given: dict[str, Value] = {
+        "use_sim_time": True,
+        "model": setup.model,
+        "initial_state": setup.initial_state,
+        "rate": setup.rate,
+        "epoch": setup.epoch,
+    }
+    return [
+        NodeSetup("observer", node_name("observer", law), {**given, "law": law})
         for law in setup.laws
-    )
+    ]
 
 
-def monitors(setup: DemoSetup) -> tuple[NodeSetup, ...]:
+def monitors(setup: DemoSetup) -> list[NodeSetup]:
     """A monitor for each law's observer."""
-    return tuple(
+    given: dict[str, Value] = {"use_sim_time": True, "model": setup.model}
+    return [
         NodeSetup(
             "monitor",
-            monitor_name(law),
-            {"use_sim_time": True, "model": setup.model, "law": law},
-            {"observer/joint_states": f"{observer_name(law)}/joint_states"},
+            node_name("monitor", law),
+            {**given, "law": law},
+            {"observer/joint_states": f"{node_name('observer', law)}/joint_states"},
         )
         for law in setup.laws
-    )
+    ]

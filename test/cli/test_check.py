@@ -51,15 +51,3 @@ def test_json_has_every_part_of_a_finding(capsys: pytest.CaptureFixture[str]) ->
             }
         ],
     }
-
-
-def test_wrong_use_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
-    """The cases are no bag and an unknown model."""
-    write()
-    for given, expected in (
-        (["nowhere"], "nowhere: does not exist"),
-        (["bag", "--model", "nothing"], "nothing: no such file"),
-    ):
-        assert main(["check", *given]) == 2
-        (error,) = capsys.readouterr().err.splitlines()
-        assert error.startswith(f"impact-observer: {expected}")

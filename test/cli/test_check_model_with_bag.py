@@ -106,21 +106,3 @@ def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
     assert error.count("\n") == 1
     assert f"{bag}: contains no impact of the model's contacts (stop); " in error
     assert "bell" in error
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["two_mass", "BAG", "--initial-deviation", "1,2"], "expected one number"),
-        (["two_mass", "--initial-deviation", "1"], "initial_deviation: given without a BAG"),
-        (["hammer_arm", "BAG"], "hammer_arm: a robot"),
-    ],
-)
-def test_wrong_use_is_one_line(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Options that are about impacts need impacts, and a linear model."""
-    assert main(["check-model", *(str(TWO_MASS) if w == "BAG" else w for w in words)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert said in error

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from impact_observer.cli.main import main
 from impact_observer.draw import pictures
 from impact_observer.observer.laws import BUILT_IN
-from impact_observer.resources import shared
 
 QUICK = ("--figure", "two_mass", "--duration", "3")
 
@@ -72,28 +71,3 @@ def test_metrics_are_those_of_a_simulated_bag(
     assert json.loads(capsys.readouterr().out) == figure
     assert list(figure) == ["open-loop", "geometric"]
     assert figure["geometric"]["V_ratio"] < figure["open-loop"]["V_ratio"]
-
-
-def test_what_cannot_be_simulated_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The error comes before any simulation; nothing that is given is ignored."""
-    model = tmp_path / "startless.yaml"
-    lines = shared("config/two_mass.yaml").read_text("utf-8").splitlines()
-    kept = [line for line in lines if not line.startswith("initial_state")]
-    model.write_text("\n".join(kept), encoding="utf-8")
-    wrong = {
-        "initial_state: is missing": ("--figure", str(model)),
-        "law 'quick'": ("--figure", "two_mass", "--laws", "quick"),
-        "initial state 'here'": ("--figure", "two_mass", "--initial-state", "here"),
-        "laws: none named": ("--figure", "two_mass", "--laws", ""),
-        "hammer_arm: a robot": ("--figure", "hammer_arm"),
-        "no bag named": (),
-        "bags is of bags": ("bag", "--figure", "two_mass"),
-        "start is of bags": ("--figure", "two_mass", "--start", "1"),
-    }
-    for said, arguments in wrong.items():
-        assert main(["compare", *arguments]) == 2
-        errors = capsys.readouterr().err.strip().splitlines()
-        assert len(errors) == 1
-        assert said in errors[0]

@@ -73,26 +73,6 @@ def test_laws_are_compared_beside_the_estimates_in_the_bag(
     assert found["geometric"]["V_start"] != found["geometric /observer"]["V_start"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "said"),
-    [
-        (["--laws", "geometric,quick"], 2, "law 'quick': not installed"),
-        (["--laws", ""], 2, "laws: none named"),
-        (["--initial-state", "random:1"], 2, "name some with --laws"),
-        (["--laws", "geometric", "--initial-state", "1,2"], 2, "expected 4"),
-    ],
-)
-def test_what_cannot_be_compared_is_one_line(
-    plant_bag: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, said: str
-) -> None:
-    """Wrong use is an error, and so is a bag without the compared topics."""
-    capsys.readouterr()
-    assert main(["compare", str(plant_bag), *arguments]) == code
-    errors = capsys.readouterr().err.strip().splitlines()
-    assert len(errors) == 1
-    assert said in errors[0]
-
-
 def test_impacts_of_other_contacts_are_no_comparison(
     plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -96,24 +96,6 @@ def test_a_topic_of_another_package_can_be_compared(
     assert mine["rms"] == ours["rms"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--plot", "nowhere/f.svg"], "nowhere/f.svg"),
-        (["--figure", "two_mass"], "bags is of bags"),
-    ],
-)
-def test_what_cannot_be_compared_or_written_is_one_line(
-    bag: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
-) -> None:
-    """The error comes before any work is done."""
-    code = main(["compare", str(bag), *arguments])
-    error = capsys.readouterr().err
-    assert code in {1, 2}
-    assert error.count("\n") == 1
-    assert re.search(said, error), error
-
-
 @pytest.mark.slow
 def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: Path) -> None:
     """Each bag is a curve from 0 on; impacts are labelled by bag if the runs differ."""

@@ -251,58 +251,6 @@ def test_without_pyarrow_the_extra_is_named(
     exported(observed, tmp_path / "states.csv")
 
 
-@pytest.mark.parametrize(
-    ("options", "code", "said"),
-    [
-        (("-o", "x.xlsx"), 2, "x.xlsx"),
-        (("-o", "no/x.csv"), 2, "no/x.csv"),
-        (("-o", "x.csv", "--topics", "/absent"), 2, "no topic or observer /absent; in the bag: /"),
-        (("-o", "x.csv", "--topics", "/impacts"), 2, "/impacts is impact_observer_msgs/msg/Impac"),
-        (("-o", "x.csv", "--what", "events", "--topics", "/a"), 2, "events have their own topic"),
-        (("-o", "x.csv", "--what", "errors", "--topics", TRUTH), 2, "has no estimates; make them"),
-        (
-            ("-o", "x.csv", "--impacts", "--topics", TRUTH),
-            2,
-            "is sensor_msgs/msg/JointState; expe",
-        ),
-    ],
-)
-def test_a_mistake_is_one_line_and_leaves_no_file(
-    observed: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    *,
-    capsys: pytest.CaptureFixture[str],
-    options: tuple[str, ...],
-    code: int,
-    said: str,
-) -> None:
-    """Nothing is in the folder."""
-    monkeypatch.chdir(tmp_path)
-    assert main(["export", str(observed), *options]) == code
-    error = capsys.readouterr().err
-    assert len(error.splitlines()) == 1
-    assert said in error
-    assert not [*tmp_path.iterdir()]
-
-
-def test_a_bag_without_states_or_events_is_an_error_with_its_topics(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Each kind of table has an error of one line."""
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.declare("/impacts")
-        writer.declare("/plant/joint_states")
-    for what, said in (
-        ("--what=states", "has no states; topics: /impacts"),
-        ("--what=events", "no events"),
-        ("--impacts", "run observe or smooth"),
-    ):
-        given = ["-o", str(tmp_path / "x.csv"), what]
-        assert main(["export", str(tmp_path / "bag"), *given]) == 2
-        assert said in capsys.readouterr().err
-
-
 def test_an_interruption_leaves_an_existing_file_unchanged(tmp_path: Path) -> None:
     """The file is replaced at the end only."""
     path = tmp_path / "x.csv"

@@ -256,25 +256,6 @@ def test_useless_values_are_not_written_and_the_last_line_says_why(
     assert not Path("ball.yaml").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "problem"),
-    [
-        ([], "names no parameter"),
-        (["--free", "gap", "--check"], "identifies nothing"),
-        (["--check"], "--clock-error"),
-        (["--free", "colour"], "colour"),
-    ],
-)
-def test_parameters_that_cannot_be_identified_are_an_error_of_one_line(
-    words: list[str], problem: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The error names the parameter; the code is 2 for wrong use, 1 for undetermined ones."""
-    assert main(["identify", bag(BAG), *words]) in {1, 2}
-    error = capsys.readouterr().err
-    assert problem in error
-    assert len(error.splitlines()) == 1
-
-
 @pytest.mark.parametrize("model", ["two_mass", "ball_on_table", "yielding_stop"])
 def test_the_page_on_fitting_names_every_parameter_of_a_model(model: str) -> None:
     """By the kind of the parameter, with NAME and the like after the dot."""

@@ -125,13 +125,3 @@ def test_the_templates_are_listed_where_none_is_meant(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert all(template in error for template in ("--from", *TEMPLATES))
-
-
-@pytest.mark.parametrize("name", ["", "a b", "../a", "1", "rigs/a"])
-def test_a_name_is_that_of_a_file(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """The name is also that of the model."""
-    assert main(["new", name, "--from", "ball"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("impact-observer: NAME: ")
-    assert error.count("\n") == 1
-    assert not list(Path().iterdir())

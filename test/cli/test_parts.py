@@ -142,32 +142,3 @@ def test_impacts_detected_in_a_part_are_numbered_from_two(
     assert main([*given, "--start", "7", "-o", str(again)]) == 2
     assert "no row from 7 s to the end after the file's time 0" in capsys.readouterr().err
     assert not again.exists()
-
-
-@pytest.mark.parametrize("command", ["observe", "smooth", "identify", "export"])
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        (["--start", "-1"], "-1 found; expected a number, 0 or more"),
-        (["--duration", "0"], "0 found; expected a number above 0"),
-        (["--start", "99"], "from 99 s to the end after the epoch, 1.000000000 s; its stamps are"),
-        (["--start", "1e300"], "choose another part with --start and --duration"),
-    ],
-)
-def test_a_part_that_is_none_is_one_line(
-    run_bag: Path,
-    capsys: pytest.CaptureFixture[str],
-    command: str,
-    given: list[str],
-    expected: str,
-) -> None:
-    """Wrong use, and nothing is written."""
-    output = run_bag.parent / "part.csv"
-    words = ["--free", "restitution"] if command == "identify" else ["-o", str(output)]
-    try:
-        code = main([command, str(run_bag), *words, *given])
-    except SystemExit as ended:
-        code = int(ended.code or 0)
-    assert code == 2
-    assert expected in capsys.readouterr().err.splitlines()[-1]
-    assert not output.exists()

@@ -25,31 +25,6 @@ def test_ending_says_what_is_made(
     assert capsys.readouterr().out == f"picture: {output}, 0.000 to 0.500 s of {sample_bag}\n"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["-o", "a.gif"], "a.gif"),
-        (["-o", "nowhere/a.png"], "nowhere; make it first"),
-        (["-o", "a.svg", "--select", "x9"], "--select x9: "),
-        (["-o", "a.svg", "--start", "99"], "from 99 s to the end after the epoch"),
-    ],
-)
-def test_wrong_use_is_one_line(
-    sample_bag: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    expected: str,
-) -> None:
-    """The failed command leaves no file."""
-    _, name, *others = arguments
-    output = tmp_path / name
-    assert main(["plot", str(sample_bag), "-o", str(output), *others]) != 0
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert expected in line
-    assert not output.exists()
-
-
 def test_a_foreign_recording_of_many_coordinates_has_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,29 +78,3 @@ def test_ideal_sensor_is_not_mentioned(tmp_path: Path) -> None:
     assert "sensor" not in model.provenance
     assert arrivals == stamps
     assert stamps
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["--missed", "1.5"], "1.5 found; expected 0 to 1"),
-        (["--jitter", "-1"], "-1 found; expected 0 to 1 s"),
-        (["--jitter", "-1e-3"], "-1e-3 found; expected 0 to 1 s"),
-        (["--delay", "nan"], "nan found; expected 0 to 10 s"),
-        (["--spurious", "often"], "often found; expected 0 to 10000 1/s"),
-        (["--mislabelled", "0.1"], "a model with 2 contacts or more: two_mass has 1"),
-    ],
-)
-def test_sensor_that_cannot_be_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
-) -> None:
-    """The exit code is 2, and no bag is written."""
-    bag = tmp_path / "bag"
-    try:
-        code: object = main(["simulate", "two_mass", *arguments, "-o", str(bag)])
-    except SystemExit as end:
-        code = end.code
-    assert code == 2
-    errors = capsys.readouterr().err.strip().splitlines()
-    assert expected in errors[-1]
-    assert not bag.exists()

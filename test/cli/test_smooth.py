@@ -94,33 +94,6 @@ def test_smoothing_again_replaces_what_was_smoothed(tmp_path: Path) -> None:
         assert reader.topics["/smoother/impacts"].count == 22
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ([], "carries no truth to sample with; give --rate"),
-        (["--rate", "1e6"], "expected at most 10000000"),
-        (["--rate", "10", "--model", "three_mass"], "no impact"),
-    ],
-)
-def test_wrong_use_is_one_line(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    expected: str,
-) -> None:
-    """The failed command leaves no bag."""
-    table, bag = tmp_path / "times.csv", tmp_path / "bag"
-    table.write_text("time,contact\n1.0,stop\n1.5,stop\n12.0,stop\n")
-    assert main(["import", str(table), "--model", "two_mass", "-o", str(bag)]) == 0
-    capsys.readouterr()
-    output = tmp_path / "smoothed"
-    assert main(["smooth", str(bag), "-o", str(output), *arguments]) != 0
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert expected in line
-    assert not output.exists()
-
-
 DRILL = """name: drill
 bodies: [{name: machine, mass: 1.2}, {name: bit, mass: 0.4}]
 springs:

@@ -53,13 +53,6 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_stamp_that_no_message_holds_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """An epoch is in seconds, also in an error."""
-    with pytest.raises(SystemExit):
-        main(["observe", "bag", "-o", "out", "--epoch", "5000000000"])
-    assert "5000000000 found; expected 0 to 2147483647.999999999 s" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_rows_have_labels_and_metrics_of_the_cases(serial: Path) -> None:
     """Rows are in the order of the cases."""
@@ -224,59 +217,3 @@ def test_a_missing_package_is_named_with_its_extra(
     assert re.search(rf"; pip install .*{package}.*\n$", error)
     assert len(error.splitlines()) == 1
     assert not path.exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "problem"),
-    [
-        (["-o", "sweep.csv"], "sweep.csv: expected a name that ends in .parquet"),
-        (["--laws", "magic"], "law 'magic': not installed"),
-        (["--off", "gap=0.4", "--off", "gap=0.5"], "off: gap found twice"),
-        (["--plot", "v.gif"], "v.gif: expected a name"),
-        (["--mislabelled", "0.1"], "sensor mislabelled"),
-        pytest.param(
-            ["--dask", "nowhere"],
-            "--dask nowhere: cannot be used: missing port",
-            marks=pytest.mark.slow,  # imports distributed
-        ),
-    ],
-)
-def test_what_cannot_be_swept_is_one_line_and_exit_code_2(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    words: list[str],
-    problem: str,
-) -> None:
-    """The error comes before anything runs."""
-    if "--dask" in words:
-        pytest.importorskip("distributed")
-    monkeypatch.chdir(tmp_path)
-    assert main(["sweep", "two_mass", "-o", "sweep.parquet", *words]) == 2
-    error = capsys.readouterr().err
-    assert problem in error
-    assert len(error.splitlines()) == 1
-    assert [*tmp_path.iterdir()] == []
-
-
-@pytest.mark.parametrize(
-    ("words", "problem"),
-    [
-        (["--jitter", "0,late"], "0,late found; expected values with commas, each 0 to 1 s"),
-        (["--jitter", "0,2"], "each 0 to 1 s"),
-        (["--impacts-only", "perhaps"], "each true | false"),
-        (["--off", "gap"], "expected NAME=V,V"),
-        (["--jobs", "2", "--dask", "tcp://a:1"], "not allowed with"),
-        (["--runs", "0"], "1 or more"),
-    ],
-)
-def test_a_wrong_argument_is_one_line(
-    capsys: pytest.CaptureFixture[str], words: list[str], problem: str
-) -> None:
-    """The line has what is expected."""
-    with pytest.raises(SystemExit) as end:
-        main(["sweep", "two_mass", "-o", "sweep.parquet", *words])
-    assert end.value.code == 2
-    error = capsys.readouterr().err
-    assert problem in error
-    assert len(error.splitlines()) == 1

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The module that starts the nodes."""
 
-import os
 import re
 import subprocess
 import sys
@@ -58,20 +57,3 @@ def test_an_unknown_node_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         entry.main(["planet"])
     assert "invalid choice: 'planet'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("given", "wanted"), [(None, "1"), ("3", "3")])
-def test_small_matrices_have_one_thread_unless_the_environment_has_more(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    given: str | None,
-    wanted: str,
-) -> None:
-    """The variable is set before the node's module, and with it numpy, is imported."""
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
-    if given is None:
-        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
-    monkeypatch.setitem(entry.NODES, "no_such", "Node")
-    assert entry.main(["no_such"]) == 1
-    assert "unforeseen ModuleNotFoundError" in capsys.readouterr().err
-    assert os.environ["OPENBLAS_NUM_THREADS"] == wanted

@@ -77,7 +77,7 @@ def test_a_slow_observer_refuses_what_has_waited_too_long(monkeypatch: pytest.Mo
     rulings = Counter(verdicts[0].ruling for _, verdicts in taken(intake))
     applied = rulings[Ruling.APPLIED]
     assert rulings == {Ruling.APPLIED: applied, Ruling.REJECTED: 500 - applied}
-    assert intake.counts["waited"] == 500 - applied
+    assert intake.counts["waited too long"] == 500 - applied
     assert PATIENCE / NS_PER_S <= applied * slow.seconds <= 2 * PATIENCE / NS_PER_S
     intake.take(event(501))
     ((last, (verdict,)),) = taken(intake)
@@ -107,7 +107,7 @@ def test_of_too_many_events_those_that_are_left_are_in_order_and_evenly_spread(
         intake.take(event(number))
     assert intake.backlog()[0] <= MOST_WAITING
     numbers = [each.sequence for each, _ in taken(intake)]
-    assert len(numbers) + intake.counts["overflow"] == 10_000
+    assert len(numbers) + intake.counts["dropped"] == 10_000
     assert len(numbers) >= MOST_WAITING // 2
     assert numbers == sorted(numbers)
     apart = {b - a for a, b in pairwise(numbers)}
@@ -125,7 +125,7 @@ def test_a_past_that_comes_at_once_is_applied_whole(monkeypatch: pytest.MonkeyPa
         for number in range(1, 51):
             intake.take(event(number))
     assert len(taken(intake)) == 100
-    assert not intake.counts["overflow"]
+    assert not intake.counts["dropped"]
 
 
 def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -91,19 +91,25 @@ def test_efforts_of_a_robot_are_read_from_a_topic_with_its_encoders() -> None:
     inbox, told, changed = Inbox(), list[str](), list[int]()
     node = node_of(inbox, interfaces.JOINT_STATE, [2 * NS_PER_S], told)
     intake = SampleIntake(node, observer, lambda since, _: changed.append(since))
-    node.receivers[0].follow()
+    node.receivers[0].follow()  # that of the encoders; another one has the efforts
     message = JointState(name=["gripper", "elbow", "shoulder"], effort=[float("nan"), 1.5, -0.5])
     message.position = [0.0, 0.5, 0.25]
     message.header.stamp = ros_messages().time(NS_PER_S + 1)
-    inbox.messages.append(serialize_message(message))
-    intake.take_arrived()
-    assert changed == [NS_PER_S + 1]
+
+    def take() -> None:
+        """Let each receiver take the message."""
+        data = serialize_message(message)
+        for each in node.receivers[::-1]:
+            inbox.messages.append(data)
+            each.take_arrived()
+
+    take()
+    assert changed == [NS_PER_S + 1, NS_PER_S + 1]
     assert ages(live, NS_PER_S + 1) == {"shoulder": 0.0, "elbow": 0.0}
     assert live.samples.force[-1].tolist() == [-0.5, 1.5]
     assert intake.without_sample() == ()
     message.effort = []
-    inbox.messages.append(serialize_message(message))
-    intake.take_arrived()
+    take()
     line = f"{intake.topics[0]}: JointState.effort: 0 numbers for 3 names; expected one each"
     assert line in told
     assert intake.counts == {"samples": 2, "invalid samples": 1}

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The life cycle of nodes, by services that another process calls."""
+"""The life cycle of nodes, by services that others call."""
 
-import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,8 @@ pytest.importorskip("impact_observer_msgs")
 from impact_observer_msgs.msg import EstimateError, EventVerdict, ImpactEvent, ObserverState
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from processes import PATIENCE, Spinner, ros_arguments, running_node, spinning
+from processes import Spinner, hosted
+from rclpy.logging import LoggingSeverity
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Range
@@ -27,6 +27,11 @@ from impact_observer.io.messages import read_estimate, read_event, read_stamp
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.plant import Plant, simulate
+from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.detector_node import DetectorNode
+from impact_observer.ros.monitor_node import MonitorNode
+from impact_observer.ros.observer_node import ObserverNode
+from impact_observer.ros.plant_node import PlantNode
 from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -42,10 +47,10 @@ STEP = 100_000_000
 
 
 class Managed:
-    """A node in a process of its own, and this process beside it."""
+    """A node in this process, beside a probe that calls its services."""
 
-    def __init__(self, name: str, process: "subprocess.Popen[str]", spinner: Spinner) -> None:
-        self.name, self.process, self.spinner = name, process, spinner
+    def __init__(self, node: BaseNode, spinner: Spinner, log: Callable[[], str]) -> None:
+        self.node, self.name, self.spinner, self._log = node, node.get_name(), spinner, log
 
     def state(self) -> str:
         """The state of the node."""
@@ -61,18 +66,26 @@ class Managed:
         )
 
     def ended(self) -> str:
-        """The log of the node after an orderly end of its process."""
-        _, errors = self.process.communicate(timeout=PATIENCE)
-        assert self.process.returncode == 0, errors
-        return errors
+        """The log of the node, whose process is to end."""
+        assert self.node.done
+        return self._log()
 
 
-@contextmanager
-def managed(name: str, environment: dict[str, str], **parameters: object) -> Iterator[Managed]:
-    """A node that waits for transitions unless ``parameters`` say otherwise."""
-    arguments = ros_arguments({"autostart": False, **parameters})
-    with running_node(name, arguments, environment) as process, spinning() as spinner:
-        yield Managed(name, process, spinner)
+Manage = Callable[..., AbstractContextManager[Managed]]
+
+
+@pytest.fixture
+def managed(ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]) -> Manage:
+    """Makes a node that waits for transitions unless parameters say otherwise."""
+    assert ros_environment
+
+    @contextmanager
+    def manage(make: Callable[[], BaseNode], **parameters: object) -> Iterator[Managed]:
+        with hosted(make, {"autostart": False, **parameters}) as (node, spinner):
+            node.get_logger().set_level(LoggingSeverity.INFO)  # another test may have changed it
+            yield Managed(node, spinner, lambda: "".join(capfd.readouterr()))
+
+    return manage
 
 
 def connected(spinner: Spinner, *publishers: Publisher) -> None:
@@ -80,14 +93,12 @@ def connected(spinner: Spinner, *publishers: Publisher) -> None:
     spinner.until(lambda: all(each.get_subscription_count() for each in publishers))
 
 
-def test_the_time_of_a_plant_stands_still_while_it_is_inactive(
-    ros_environment: dict[str, str],
-) -> None:
+def test_the_time_of_a_plant_stands_still_while_it_is_inactive(managed: Manage) -> None:
     """The node gives the same states and events as a simulation, without a gap and anew."""
     model = read_model("two_mass")
     states, events = list[JointState](), list[ImpactEvent]()
     given = {"model": "two_mass", "publish_clock": True, "epoch": EPOCH, "rate": 10.0}
-    with managed("plant", ros_environment, realtime_factor=2.0, **given) as node:
+    with managed(PlantNode, realtime_factor=2.0, **given) as node:
         spinner = node.spinner
         spinner.probe.create_subscription(JointState, "plant/joint_states", states.append, MANY)
         spinner.probe.create_subscription(
@@ -129,14 +140,19 @@ def test_the_time_of_a_plant_stands_still_while_it_is_inactive(
         assert "transition 3 failed: the node is unconfigured" in node.ended()
 
 
-def test_a_plant_on_the_clock_of_others_publishes_the_events_of_a_pause_late(
-    ros_environment: dict[str, str],
+def test_a_plant_on_the_clock_of_others_publishes_what_a_pause_had_late(
+    managed: Manage,
 ) -> None:
     """No event is lost, as real time does not stand still."""
     events = list[ImpactEvent]()
-    with managed("plant", ros_environment, autostart=True, model="two_mass") as node:
+    with managed(PlantNode, autostart=True, model="two_mass") as node:
         spinner, probe = node.spinner, node.spinner.probe
         probe.create_subscription(ImpactEvent, "impacts", events.append, qos_profile(EVENTS))
+        spinner.until(lambda: events)
+        answer = spinner.call(Trigger, "plant/reset")
+        assert answer.success
+        assert answer.message.startswith("episode 1, epoch ")
+        events.clear()
         spinner.until(lambda: events)
         assert node.change(DEACTIVATE)
         count, begin = len(events), probe.get_clock().now().nanoseconds
@@ -152,16 +168,14 @@ def test_a_plant_on_the_clock_of_others_publishes_the_events_of_a_pause_late(
     assert any(begin < read_event(each).stamp < end for each in events)
 
 
-def test_an_inactive_observer_keeps_its_state_and_a_cleanup_forgets_it(
-    ros_environment: dict[str, str],
-) -> None:
+def test_an_inactive_observer_keeps_its_state_and_a_cleanup_forgets_it(managed: Manage) -> None:
     """Estimates after a pause know its events: they are those of an observer without ROS."""
     model, options = read_model("two_mass"), Options("geometric", "random:1", epoch=EPOCH)
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     impacts = simulate(plant, grid(EPOCH, EPOCH + 6 * NS_PER_S, 1.0)).events
     states, verdicts = list[ObserverState](), list[EventVerdict]()
     given = {"initial_state": "random:1", "epoch": EPOCH, "rate": 10.0, "use_sim_time": True}
-    with managed("observer", ros_environment, model="two_mass", **given) as node:
+    with managed(ObserverNode, model="two_mass", **given) as node:
         spinner, probe = node.spinner, node.spinner.probe
         clock = probe.create_publisher(Clock, "/clock", qos_profile(STATES))
         events = probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
@@ -214,7 +228,7 @@ def test_an_inactive_observer_keeps_its_state_and_a_cleanup_forgets_it(
 
 
 def test_an_observer_waits_for_the_measurements_it_declares(
-    ros_environment: dict[str, str], tmp_path: Path
+    managed: Manage, tmp_path: Path
 ) -> None:
     """The log names those that are missing; the node is active once each has had a sample."""
     path = tmp_path / "sensors.yaml"
@@ -224,7 +238,7 @@ def test_an_observer_waits_for_the_measurements_it_declares(
         "  - {name: laser, topic: laser, field: range, position: {x2: -1}, deviation: 0.01}\n"
     )
     given = {"model": "two_mass", "measurements": path, "wait_for_measurements": True}
-    with managed("observer", ros_environment, autostart=True, **given) as node:
+    with managed(ObserverNode, autostart=True, **given) as node:
         spinner, probe = node.spinner, node.spinner.probe
         encoder = probe.create_publisher(JointState, "encoder", qos_profile(STATES))
         laser = probe.create_publisher(Range, "laser", qos_profile(STATES))
@@ -245,12 +259,10 @@ def test_an_observer_waits_for_the_measurements_it_declares(
     assert "not active: no measurement yet of laser" in log
 
 
-def test_an_inactive_detector_publishes_no_event_but_counts_it(
-    ros_environment: dict[str, str],
-) -> None:
+def test_an_inactive_detector_publishes_no_event_but_counts_it(managed: Manage) -> None:
     """So a receiver notices by the sequence what it has missed."""
     events = list[ImpactEvent]()
-    with managed("detector", ros_environment, sources="switch") as node:
+    with managed(DetectorNode, sources="switch") as node:
         spinner, probe = node.spinner, node.spinner.probe
         probe.create_subscription(ImpactEvent, "impacts", events.append, qos_profile(EVENTS))
         switch = probe.create_publisher(Bool, "switch", qos_profile(STATES))
@@ -278,10 +290,10 @@ def test_an_inactive_detector_publishes_no_event_but_counts_it(
         node.ended()
 
 
-def test_an_inactive_monitor_publishes_no_error(ros_environment: dict[str, str]) -> None:
+def test_an_inactive_monitor_publishes_no_error(managed: Manage) -> None:
     """A transition that is not possible changes nothing."""
     errors = list[EstimateError]()
-    with managed("monitor", ros_environment, model="two_mass") as node:
+    with managed(MonitorNode, model="two_mass") as node:
         spinner, probe = node.spinner, node.spinner.probe
         probe.create_subscription(EstimateError, "monitor/error", errors.append, MANY)
         topics = ("plant/joint_states", "observer/joint_states")
@@ -312,11 +324,9 @@ def test_an_inactive_monitor_publishes_no_error(ros_environment: dict[str, str])
         assert "transition 1 failed: the node is active" in node.ended()
 
 
-def test_a_node_that_cannot_be_configured_says_why_and_stays_unconfigured(
-    ros_environment: dict[str, str],
-) -> None:
+def test_a_node_that_cannot_be_configured_says_why_and_stays_unconfigured(managed: Manage) -> None:
     """The line is the one with which a node ends that configures itself."""
-    with managed("observer", ros_environment, model="no_such_model") as node:
+    with managed(ObserverNode, model="no_such_model") as node:
         assert not node.change(CONFIGURE)
         assert node.state() == "unconfigured"
         assert node.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)

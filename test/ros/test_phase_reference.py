@@ -9,23 +9,23 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from impact_observer_msgs.msg import ContactSwitch, ImpactEvent, ObserverState
-from processes import ros_arguments, running, running_node, spinning
+from impact_observer_msgs.msg import ContactSwitch, ImpactEvent
+from processes import hosted
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rigs import EPOCH
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Header
 
-from impact_observer.cli.main import main
-from impact_observer.io import BagReader, interfaces
+from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.messages import read_estimate
 from impact_observer.resources import shared
+from impact_observer.ros.detector_node import DetectorNode
+from impact_observer.ros.observer_node import ObserverNode
 from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 
 MOTOR = """\
 name: driven
@@ -43,60 +43,18 @@ def pulse_publisher(probe: Node) -> Publisher:
     return probe.create_publisher(Header, interface.name, qos_profile(interface.quality))
 
 
-def test_observer_node_estimates_what_observe_does_under_a_drive(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
-    """The states are equal to the bit if the lag is longer than a period."""
-    recorded, output = shared("bags/hammer"), tmp_path / "out"
-    assert main(["observe", str(recorded), "--initial-state", "random:1", "-o", str(output)]) == 0
-    with BagReader(output) as reader:
-        offline = reader.observer_states("/observer/state")
-    where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}
-    parameters = {
-        "model": "hammer",
-        "use_sim_time": True,
-        "initial_state": "'random:1'",
-        "lag": 2.0,
-        "rate": 20.0,
-    }
-    states: list[ObserverState] = []
-    with (
-        running_node("observer", ros_arguments(parameters), ros_environment),
-        spinning() as spinner,
-    ):
-        probe = spinner.probe
-        probe.create_subscription(ObserverState, "observer/state", states.append, MANY)
-        spinner.until(lambda: "observer" in probe.get_node_names())
-        play = ["play", str(recorded), "--rate", "4", "--topics"]
-        topics = ["/impacts", "/phase_reference"]
-        with running("impact_observer", [*play, *topics], ros_environment) as player:
-            spinner.until(lambda: player.poll() is not None)
-            assert player.returncode == 0, player.communicate()
-        spinner.settle()
-    found = {each.stamp: each for _, each in map(read_estimate, states)}
-    compared = [(each, where[stamp]) for stamp, each in found.items() if stamp in where]
-    assert len(compared) > 300
-    for estimate, i in compared:
-        assert estimate.q.tobytes() == offline.q[i].tobytes()
-        assert estimate.u.tobytes() == offline.u[i].tobytes()
-
-
-def test_diagnostics_warn_of_inputs_that_are_silent(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_diagnostics_warn_of_inputs_that_are_silent(tmp_path: Path) -> None:
     """Silence beyond ``input_timeout`` is a WARN; the age of the signal is shown."""
     (tmp_path / "driven.yaml").write_text(MOTOR)
-    parameters = {"model": str(tmp_path / "driven.yaml"), "input_timeout": 2.5, "future": 60.0}
+    model = tmp_path / "driven.yaml"
+    parameters = {"model": model, "input_timeout": 1.2, "future": 60.0}
     found: list[DiagnosticStatus] = []
     make = ros_messages()
 
     def values() -> dict[str, str]:
         return {each.key: each.value for each in found[-1].values}
 
-    with (
-        running_node("observer", ros_arguments(parameters), ros_environment),
-        spinning() as spinner,
-    ):
+    with hosted(ObserverNode, parameters) as (_, spinner):
         probe = spinner.probe
         probe.create_subscription(
             DiagnosticArray, "/diagnostics", lambda array: found.append(array.status[0]), MANY
@@ -123,18 +81,15 @@ def test_diagnostics_warn_of_inputs_that_are_silent(
         spinner.until(lambda: any(silent in each.message for each in found))
         (status, *_) = [each for each in found if silent in each.message]
     assert status.level == DiagnosticStatus.WARN
-    assert "input_timeout is 2.5 s" in status.message
+    assert "input_timeout is 1.2 s" in status.message
 
 
-def test_detector_puts_the_first_pulse_into_its_events(ros_environment: dict[str, str]) -> None:
+def test_detector_puts_the_first_pulse_into_its_events() -> None:
     """The first pulse is the epoch of events if no parameter gives an epoch."""
     sources = shared("config/detector/switch.yaml")
     events: list[ImpactEvent] = []
     make = ros_messages()
-    with (
-        running_node("detector", ros_arguments({"sources": str(sources)}), ros_environment),
-        spinning() as spinner,
-    ):
+    with hosted(DetectorNode, {"sources": sources}) as (_, spinner):
         probe = spinner.probe
         quality = qos_profile(interfaces.IMPACTS.quality)
         probe.create_subscription(ImpactEvent, "impacts", events.append, quality)

@@ -8,11 +8,12 @@ pytest.importorskip("impact_observer_msgs")
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
 from impact_observer_msgs.msg import EstimateError
-from processes import ros_arguments, running_node, spinning
+from processes import hosted
 from sensor_msgs.msg import JointState
 
 from impact_observer.io.interfaces import Quality
 from impact_observer.robots import Robot
+from impact_observer.ros.monitor_node import MonitorNode
 from impact_observer.ros.topics import qos_profile
 
 
@@ -27,8 +28,8 @@ def test_v_of_a_robot_is_half_the_error_by_the_mass_at_the_true_position(
         "observer/joint_states": {**true, "velocity": [0.0, 1.5]},
     }
     errors, quality = list[EstimateError](), qos_profile(Quality(depth=10))
-    node = ("monitor", ros_arguments({"model": "hammer_arm"}), ros_environment)
-    with running_node(*node), spinning() as spinner:
+    assert ros_environment
+    with hosted(MonitorNode, {"model": "hammer_arm"}) as (_, spinner):
         probe = spinner.probe
         probe.create_subscription(EstimateError, "monitor/error", errors.append, quality)
         publishers = [probe.create_publisher(JointState, each, quality) for each in states]

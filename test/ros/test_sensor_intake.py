@@ -31,7 +31,7 @@ from impact_observer.ros.observer_node import ObserverNode
 from impact_observer.ros.topics import qos_profile, ros_messages
 from impact_observer.stamps import NS_PER_S, grid
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
 
 EPOCH = 5 * NS_PER_S
 SENSORS = """\
@@ -130,11 +130,8 @@ def run() -> Run:
     return simulate(plant, grid(EPOCH, EPOCH + 2 * NS_PER_S, 40.0))
 
 
-def test_live_estimates_are_those_of_the_same_samples_offline(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_live_estimates_are_those_of_the_same_samples_offline(tmp_path: Path) -> None:
     """Samples in another order, late and delayed, give equal bits."""
-    assert ros_environment
     whole, draw = run(), np.random.default_rng(1)
     encoder = [(int(s), float(x[0])) for s, x in zip(whole.stamps, whole.states, strict=True)]
     laser = [
@@ -169,11 +166,8 @@ def test_live_estimates_are_those_of_the_same_samples_offline(
         assert estimate.u.tobytes() == wanted.u.tobytes()
 
 
-def test_silence_and_what_is_wrong_with_a_sensor_are_its_diagnostics(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_silence_and_what_is_wrong_with_a_sensor_are_its_diagnostics(tmp_path: Path) -> None:
     """Silence, a timeout, a clock off by an hour and NaN are reported; other samples are used."""
-    assert ros_environment
     with rig_with(tmp_path) as rig:
         rig.tick(EPOCH + NS_PER_S)
         assert rig.status("laser").message == "no sample yet; timeout is 1 s"
@@ -193,11 +187,8 @@ def test_silence_and_what_is_wrong_with_a_sensor_are_its_diagnostics(
         assert (values["samples"], values["accepted"], values["invalid"]) == ("3", "2", "1")
 
 
-def test_a_sample_ahead_of_a_late_clock_is_used_when_that_has_come(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_a_sample_ahead_of_a_late_clock_is_used_when_that_has_come(tmp_path: Path) -> None:
     """The sample takes its place among others, and none counts as invalid."""
-    assert ros_environment
     stamps = [EPOCH + k * NS_PER_S // 2 for k in range(1, 8)]
     with rig_with(tmp_path, history=10.0) as rig:
         rig.tick(EPOCH + NS_PER_S)
@@ -212,11 +203,8 @@ def test_a_sample_ahead_of_a_late_clock_is_used_when_that_has_come(
         assert rig.status("encoder").message == "7 samples accepted"
 
 
-def test_verdicts_on_samples_of_fast_sensors_are_not_published(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_verdicts_on_samples_of_fast_sensors_are_not_published(tmp_path: Path) -> None:
     """Those on samples at 10 Hz are, those on samples at 100 Hz are not."""
-    assert ros_environment
     with rig_with(tmp_path, history=10.0) as rig:
         rig.spinner.until(rig.laser.get_subscription_count)
         rig.tick(EPOCH + 4 * NS_PER_S)
@@ -232,11 +220,8 @@ def test_verdicts_on_samples_of_fast_sensors_are_not_published(
         assert {each.name for each in rig.verdicts} == {"laser"}
 
 
-def test_a_topic_of_another_type_is_a_diagnostic_until_its_type_changes(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_a_topic_of_another_type_is_a_diagnostic_until_its_type_changes(tmp_path: Path) -> None:
     """The other sensor goes on; no message without a stamp makes a sensor deaf."""
-    assert ros_environment
     wrong = SENSORS.replace("topic: laser, field: range, position", "topic: floats, joint: x2,"
                             " quantity: position, stamp: header, position")  # fmt: skip
     with rig_with(tmp_path, wrong) as rig:

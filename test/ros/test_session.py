@@ -16,8 +16,8 @@ from rclpy.node import Node
 from impact_observer.errors import DynamicsError, UsageError
 from impact_observer.options import Option
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import BaseNode
-from impact_observer.ros.session import require_ros, spin_once
+from impact_observer.ros.base_node import BaseNode, spin_once
+from impact_observer.ros.session import require_ros
 
 ALONE = (Option("autostart", False, "nothing begins by itself"),)
 
@@ -71,10 +71,10 @@ def test_an_error_is_noted_unless_the_node_ends_by_it(
         executor = SingleThreadedExecutor()
         for error in (ValueError("must not be negative"), DynamicsError("no motion")):
             monkeypatch.setattr(executor, "spin_once", Mock(side_effect=error))
-            spin_once(executor, noted.append, ends_by=())
+            spin_once(executor, noted.append, ())
             assert noted.pop() is error
         with pytest.raises(DynamicsError):
-            spin_once(executor, noted.append, ends_by=(DynamicsError,))
+            spin_once(executor, noted.append, (DynamicsError,))
         executor.shutdown()
 
 
