@@ -332,7 +332,7 @@ def fitted(
     if theta is not None:
         begun = begun._replace(theta=np.array(theta))
     found = _settled(problem, begun, problem.clock, rounds, show)
-    if found.sizes.model > LOST or rounds < _ROUNDS:
+    if not found.is_settled and (found.sizes.model > LOST or rounds < _ROUNDS):
         return found
     motions = [found]
     about = _Search.about(found)._replace(is_late=found.is_settled)

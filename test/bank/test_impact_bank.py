@@ -88,6 +88,7 @@ def test_decisions_name_the_missed_impact_and_the_false_alarm() -> None:
     assert past.tolist()[-5:] == [1, SPURIOUS, MISSED, 1, 1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["two_mass", "three_mass"])
 def test_covariances_are_those_of_errors_over_draws_of_jittered_stamps(model: str) -> None:
     """Of an exact model with the declared jitter of 1 ms: NEES / 2n between 0.7 and 1.3."""

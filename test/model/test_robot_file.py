@@ -53,7 +53,7 @@ def test_the_text_of_a_model_carries_its_urdf() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        "sweep {} -o out",
+        "sweep {} -o out.parquet",
         "compare --figure {} --plot out.png",
         "fit t.csv {} -o out",
         "demo --model {}",

@@ -91,7 +91,7 @@ def test_estimates_are_those_of_all_samples_whatever_came_when(law: str) -> None
     assert np.max(error[-1]) < (1e-6 if law == "minimum-variance" else 0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sensors_beside_live_forces_see_what_the_plant_does() -> None:
     """An encoder and an accelerometer on a moving ground; forces late, all else in any order."""
     events, stamps, states = simulated()

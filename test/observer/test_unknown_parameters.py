@@ -139,7 +139,7 @@ def test_gaps_are_estimated_where_contacts_rest() -> None:
     assert np.all(spread > 0.2 * late.parameters[0][2])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("free", ["restitution=0.1", "stiffness-scale=0.03"])
 def test_errors_of_parameters_agree_with_their_deviations(free: str) -> None:
     """The mean of the squared normalised errors over many starts is near one."""
