@@ -17,7 +17,7 @@ from impact_observer.batch.moments import Moment, Moments
 from impact_observer.batch.motion_fit import LOST, BatchProblem, MotionFit, fitted
 from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.revision import revised
-from impact_observer.batch.verdict import OUTLIERS, FitVerdict, verdict_on
+from impact_observer.batch.verdict import FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError
 from impact_observer.model.free_parameters import is_phase
 from impact_observer.options import Options
@@ -61,7 +61,7 @@ class Explanation:
     def is_lost(self) -> bool:
         """Whether no motion was found by which single events can be judged."""
         verdict = self.verdict
-        return verdict.model > LOST or verdict.outliers > OUTLIERS or self.fit.is_astray
+        return verdict.model > LOST or verdict.has_outliers or self.fit.is_astray
 
     @property
     def missed(self) -> int:

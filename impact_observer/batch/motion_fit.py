@@ -10,6 +10,7 @@ recording shows.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -31,6 +32,7 @@ from impact_observer.batch.passes import (
 )
 from impact_observer.batch.sample_rows import FlightSamples, SampleRows, sample_rows
 from impact_observer.dynamics.tangent import Tangent
+from impact_observer.errors import DynamicsError
 from impact_observer.model.contact_sensors import ContactErrors
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -318,7 +320,7 @@ def fitted(
         show: receives what is being done.
 
     Raises:
-        DynamicsError: the forcing has no sample at a moment.
+        DynamicsError: the forcing has no sample at a moment, or the motion grows without bounds.
     """
     family, moments = problem.family, problem.moments
     x = np.tile(problem.mean, (moments.count + 1, 1))
@@ -334,14 +336,16 @@ def fitted(
     found = _settled(problem, begun, problem.clock, rounds, show)
     if not found.is_settled and (found.sizes.model > LOST or rounds < _ROUNDS):
         return found
-    motions = [found]
     about = _Search.about(found)._replace(is_late=found.is_settled)
+    others = list[tuple[NoiseSizes, float | None]]()
     if (sizes := found.density.likeliest_of_all(found.sizes, problem.clock)) != found.sizes:
-        again = about._replace(sizes=sizes)
-        motions.append(_settled(problem, again, problem.clock, rounds, show))
+        others.append((sizes, problem.clock))
     if problem.clock is None and (scatter := found.sizes.scatter or found.sizes.model):
-        again = about._replace(sizes=NoiseSizes(ROUNDED, scatter))
-        motions.append(_settled(problem, again, ROUNDED, rounds, show))
+        others.append((NoiseSizes(ROUNDED, scatter), ROUNDED))
+    motions = [found]
+    for sizes, clock in others:
+        with suppress(DynamicsError):
+            motions.append(_settled(problem, about._replace(sizes=sizes), clock, rounds, show))
     return max(motions, key=MotionFit.order)
 
 
@@ -393,7 +397,7 @@ def _settled(
     fit: MotionFit | None = None
     for number in range(rounds):
         is_first = not is_near and number < _FIRST
-        fit = linearised_fit(
+        found = linearised_fit(
             problem,
             theta,
             x,
@@ -402,6 +406,9 @@ def _settled(
             sample_inflation=of_samples,
             is_first=is_first,
         )
+        if not np.isfinite(found.log_density):
+            break
+        fit = found
         is_late = is_late or number >= _LATE
         likeliest = fit.density.likeliest(sizes, clock, is_first=is_first, is_late=is_late)
         fit = fit if likeliest == sizes else replace(fit, sizes=likeliest)
@@ -426,7 +433,8 @@ def _settled(
             break
         x = x + fit.change[:, : x.shape[1]]
         theta = np.clip(theta + fit.change[-1, x.shape[1] :], low, high)
-    assert fit is not None, "rounds are at least one"
+    if fit is None:
+        raise DynamicsError("no motion explains the impacts")
     return fit
 
 

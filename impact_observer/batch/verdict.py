@@ -22,8 +22,10 @@ _OF_FLIGHTS = 0.005
 """Part of the mean flight above which no error of stamps is one of a clock."""
 _LAGS = 10
 """Most lags of the tested autocorrelations."""
-OUTLIERS = 0.3
-"""Part of the events above which rejected and inserted ones speak against a model."""
+_INSERTED = 0.25
+"""Part of the impacts of a motion above which inserted ones speak against a model."""
+_REJECTED = 0.5
+"""Part of the reported impacts above which rejected ones speak against a model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +40,7 @@ class FitVerdict:
         model: error of accelerations, over the usual ones.
         size: probability of residuals of this size under the declared clock; 1 without one.
         white: probability of autocorrelations of this size of independent residuals.
-        outliers: part of the events that had to be rejected or inserted.
+        has_outliers: whether too many impacts had to be rejected or inserted.
     """
 
     reasons: tuple[str, ...]
@@ -48,7 +50,7 @@ class FitVerdict:
     model: float
     size: float
     white: float
-    outliers: float
+    has_outliers: bool
 
     @property
     def fits(self) -> bool:
@@ -66,9 +68,11 @@ def verdict_on(fit: MotionFit, rejected: int = 0) -> FitVerdict:
     least = max(2 * ROUNDED, (declared or 0.0) / 2)
     is_rounding = float(np.linalg.norm(fit.predicted)) <= least * np.sqrt(nu.size)
     white = 1.0 if is_rounding else whiteness(nu)
+    moments = fit.problem.moments
     inserted = int(np.sum(fit.problem.errors.has_sensor[fit.problem.missed]))
-    outliers = (inserted + rejected) / (fit.problem.moments.count + rejected)
-    found = FitVerdict((), clock, declared, scatter, model, size, white, outliers)
+    reported = rejected + moments.row_moment.size
+    has_outliers = inserted > _INSERTED * moments.count or rejected > _REJECTED * reported
+    found = FitVerdict((), clock, declared, scatter, model, size, white, has_outliers)
     return replace(found, reasons=tuple(_reasons(fit, found)))
 
 
@@ -106,8 +110,8 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
     if fit.is_behind_stops:
         yield "contacts open where they should close: the motion is on the other side of a stop"
     yield from _of_sensors(fit)
-    if found.outliers > OUTLIERS:
-        yield f"{100 * found.outliers:.0f} % of the impacts had to be rejected or inserted"
+    if found.has_outliers:
+        yield "too many of the impacts had to be rejected or inserted"
 
 
 def _of_sensors(fit: MotionFit) -> Iterator[str]:

@@ -15,6 +15,8 @@ import pandas as pd
 import pytest
 
 from impact_observer.cli.main import main
+from impact_observer.io.reader import BagReader
+from impact_observer.model import read_model
 
 RIGS = Path(__file__).resolve().parent / "rigs"
 
@@ -80,3 +82,52 @@ def test_a_fitted_model_is_fitted_again(
     later = times[:59] if again == "same" else times[59:]
     assert fitted("shaker", first / "out" / "fitted.yaml", later, second) == (0, 1.0)
     assert ("count twice" in capsys.readouterr().out) == (again == "same")
+
+
+TWO_MASSES = """name: rig
+bodies: [{name: frame, mass: {value: 1, deviation: 0.05}}, {name: tool, mass: 1}]
+springs:
+  - between: [ground, frame]
+    stiffness: {value: 10.2, deviation: 0.5}
+    damping: {value: 0.12, deviation: 0.03}
+  - between: [frame, tool]
+    stiffness: {value: 10.3, deviation: 0.5}
+    damping: {value: 0.12, deviation: 0.03}
+forces: [{body: tool, amplitude: {value: 4.1, deviation: 0.2}, frequency: 2.5}]
+stops:
+  - name: stop
+    body: tool
+    limit: {value: 0.52, deviation: 0.03}
+    side: above
+    restitution: {value: 0.65, deviation: 0.1}
+"""
+
+
+KNOWN = {
+    "mass: {value: 1, deviation: 0.05}": "mass: 1",
+    "stiffness: {value: 10.2, deviation: 0.5}": "stiffness: 10",
+    "damping: {value: 0.12, deviation: 0.03}": "damping: 0.1",
+    "amplitude: {value: 4.1, deviation: 0.2}": "amplitude: 4",
+}
+"""Numbers of ``TWO_MASSES`` with their deviations, and as they are known."""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("known", "missing", "seconds"), [({}, (), 180), (KNOWN, (49,), 90)])
+def test_a_chaotic_motion_is_found(
+    known: dict[str, str], missing: tuple[int, ...], seconds: int, tmp_path: Path
+) -> None:
+    """From printed times alone: with nine unknown numbers, or with a time that is missing."""
+    bag, table, output = tmp_path / "bag", tmp_path / "times.txt", tmp_path / "out"
+    assert main(["simulate", "two_mass", "--duration", str(seconds), "-o", str(bag)]) == 0
+    with BagReader(bag) as reader:
+        times = [(each.stamp - each.epoch) * 1e-9 for each in reader.events()]
+    kept = [f"{time:.6f}" for k, time in enumerate(times) if k not in missing]
+    table.write_text("\n".join(kept), "utf-8")
+    text = TWO_MASSES
+    for uncertain, exact in known.items():
+        text = text.replace(uncertain, exact)
+    (tmp_path / "rig.yaml").write_text(text, "utf-8")
+    assert main(["fit", str(table), str(tmp_path / "rig.yaml"), "-o", str(output)]) == 0
+    found = read_model(output / "fitted.yaml")
+    assert found.system.eps[0] == pytest.approx(0.7, abs=1e-3)
