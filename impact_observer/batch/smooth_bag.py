@@ -22,6 +22,7 @@ from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.observed_bag import (
     check_count,
+    check_events,
     events_from,
     messages_of,
     sample_stamps,
@@ -97,6 +98,7 @@ def smooth_bag(
         UsageError, BagError: the bags cannot be used as asked.
     """
     events = events_from(reader, options.epoch)
+    check_events(reader, events, model.system, options.epoch)
     samples = samples_in(reader, measurements)
     assumed = assumed_epoch(model.subject, events, samples.samples, options.epoch)
     options = replace(options, epoch=options.epoch or assumed.stamp)

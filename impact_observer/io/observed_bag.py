@@ -82,7 +82,7 @@ def observe_bag(
             of the system, and where none was applied. Then no bag is left.
     """
     events = events_from(reader, epoch)
-    _check_events(reader, events, observer.system, epoch)
+    check_events(reader, events, observer.system, epoch)
     stamps = sample_stamps(reader, events, rate, epoch)
     if reader.low and min((each.sequence for each in events), default=0) > 1:
         # What happened before the part is unknown: the initial state holds at its first stamp.
@@ -136,10 +136,14 @@ def observe_bag(
     return done, +(others + rulings)
 
 
-def _check_events(
+def check_events(
     reader: BagReader, events: Sequence[ImpactEvent], system: System, epoch: int
 ) -> None:
-    """Raise UnfitBagError if the events of a bag gave no estimate."""
+    """Check that events of a bag can be of a model.
+
+    Raises:
+        UnfitBagError: there are none and no epoch, or all are of other contacts.
+    """
     if not events and not epoch:
         raise UnfitBagError(
             f"{reader.path}: no impact in it, so that nothing is estimated; expected impacts, or"
