@@ -20,7 +20,7 @@ from impact_observer.ros import entry
 from impact_observer.ros.topics import qos_profile
 
 Hosted = TypeVar("Hosted", bound=Node)
-Heard = TypeVar("Heard")
+Message = TypeVar("Message")
 MANY = Quality(depth=2000)
 PATIENCE = 90.0
 """How long a process may take to do what a test waits for, s."""
@@ -118,11 +118,11 @@ class Spinner:
         self.until(future.done)
         return future.result()
 
-    def hear(self, kind: type[Heard], topic: str, quality: Quality = MANY) -> list[Heard]:
+    def collect(self, kind: type[Message], topic: str, quality: Quality = MANY) -> list[Message]:
         """The messages that come on a topic from now on."""
-        heard = list[Heard]()
-        self.probe.create_subscription(kind, topic, heard.append, qos_profile(quality))
-        return heard
+        messages = list[Message]()
+        self.probe.create_subscription(kind, topic, messages.append, qos_profile(quality))
+        return messages
 
     def settle(self, seconds: float = 0.1) -> None:
         """Spin for ``seconds``, and then until there is nothing to do.

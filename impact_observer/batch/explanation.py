@@ -184,9 +184,10 @@ def _from_phases(
         for each in (begun[0], *sorted(begun[1:], key=lambda fit: -fit.log_density)[:2])
     )
     # a periodic motion may have several phases: the one from the given value is preferred
-    best = max(others, key=MotionFit.order, default=given)
-    is_better = best.order()[:2] >= given.order()[:2] and best.worth > given.worth + _WORTH
-    return best if is_better or best.order()[:2] > given.order()[:2] else given
+    best = max(others, key=lambda fit: (fit.rank, fit.worth), default=given)
+    if best.rank != given.rank:
+        return max(best, given, key=lambda fit: fit.rank)
+    return best if best.worth > given.worth + _WORTH else given
 
 
 def _explained(fit: MotionFit, reported: Moments, options: Options) -> Explanation:

@@ -214,23 +214,24 @@ def _own_instants(  # noqa: PLR0917
     gaps = tangent.gaps(switching.hit)
     late, is_regular = _first_late(tangent, moments, own, x, gaps, before, usual)
 
-    def at_own_instant(late: Vector) -> _OwnInstants:
+    def at_own_instant(
+        late: Vector,
+    ) -> tuple[Maps, list[Elapsed], Matrix, Matrix, Matrix, Matrix]:
+        """Return flights to the instants, these, states and rates there, speeds and gaps."""
         to = tangent.flights(t, late, before)
         at = [each + by for each, by in zip(t, late.tolist(), strict=True)]
         there = to.of(x)
         rate = tangent.rates(at, there, before)[0]
         speeds = rate @ gaps.by_x.T
         speeds = np.where(is_regular[:, None], speeds, -np.maximum(np.abs(speeds), usual))
-        value, by_theta = gaps.of(there), gaps.Theta(there)
-        return _OwnInstants(
-            late, is_regular, to, to.Gamma(x), at, there, rate, speeds, value, by_theta
-        )
+        return to, at, there, rate, speeds, gaps.of(there)
 
     for _ in range(_NEWTON):
-        seen = at_own_instant(late)
-        by = seen.value.mean(axis=1) / seen.speeds.mean(axis=1)
-        late = np.where(is_regular, late - by, 0.0)
-    return at_own_instant(late)
+        *_, speeds, value = at_own_instant(late)
+        late = np.where(is_regular, late - value.mean(axis=1) / speeds.mean(axis=1), 0.0)
+    to, at, there, rate, speeds, value = at_own_instant(late)
+    moved, by_theta = to.Gamma(x), gaps.Theta(there)
+    return _OwnInstants(late, is_regular, to, moved, at, there, rate, speeds, value, by_theta)
 
 
 def _jump(  # noqa: PLR0917
@@ -257,9 +258,8 @@ def _jump(  # noqa: PLR0917
     W, stops = tangent.system.W[:, list(pressed)], tangent.stops(pressed)
     approach, departure = np.abs(there[:, n:] @ W), np.abs(after[:, n:] @ W)
     motion.kick[nodes, n:] = approach @ stops.T
-    restitution = departure / np.where(approach > 0, approach, 1.0)
-    fast = np.where(restitution > 0, 1.0 / np.where(restitution > 0, restitution, 1.0), 0.0)
-    motion.kick_by_after[nodes, n:, n:] = np.einsum("ik,mk,jk->mij", stops, fast, W)
+    gain = np.divide(approach, departure, out=np.zeros_like(approach), where=departure > 0)
+    motion.kick_by_after[nodes, n:, n:] = np.einsum("ik,mk,jk->mij", stops, gain, W)
     motion.kick_by_theta[nodes] = -motion.kick_by_after[nodes] @ Gamma
     if held:
         after, still, still_theta = tangent.rest(after, held)

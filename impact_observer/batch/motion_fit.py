@@ -200,9 +200,10 @@ class MotionFit:
         deviation[:, d:] += _ROUNDING * self.problem.family.sizes
         return float(np.max(np.abs(self.change) / np.where(deviation > 0, deviation, np.inf)))
 
-    def order(self) -> tuple[bool, bool, float]:
-        """What makes one motion better than another."""
-        return not self.is_astray, self.is_settled, self.worth
+    @property
+    def rank(self) -> tuple[bool, bool]:
+        """What makes a motion better than another one, whatever the ``worth`` of both is."""
+        return not self.is_astray, self.is_settled
 
     def published(self, *, fits: bool) -> "MotionFit":
         """The same motion with noises as large as they may be, for honest deviations.
@@ -213,15 +214,20 @@ class MotionFit:
         """
         if fits and not self.sizes.model and not self.sizes.scatter:
             return self
-        largest = self.density.largest_model_error(self.sizes)
-        if self.is_astray:
-            largest = LARGEST_MODEL
+        largest = LARGEST_MODEL
+        if not self.is_astray:
+            largest = self.density.largest_model_error(self.sizes)
         return replace(self, sizes=self.sizes._replace(model=_PERSISTING * largest))
 
     @property
     def unreached(self) -> int:
         """How many measured gaps are not zero near their stamps."""
         return int(np.sum(~self.motion.is_regular[self.problem.moments.row_moment]))
+
+    @property
+    def misses_impacts(self) -> bool:
+        """Whether many gaps are not zero near their stamps; the first stamp may be the start."""
+        return self.unreached > 1 + _UNREACHED * self.residuals.size
 
     @property
     def is_behind_stops(self) -> bool:
@@ -232,8 +238,7 @@ class MotionFit:
     @property
     def is_astray(self) -> bool:
         """Whether the motion has other impacts than those of the recording."""
-        many = 1 + _UNREACHED * self.residuals.size  # the first impact may be the start
-        return self.unreached > many or self.is_behind_stops
+        return self.misses_impacts or self.is_behind_stops
 
     @property
     def states(self) -> tuple[Matrix, Matrix]:
@@ -346,7 +351,7 @@ def fitted(
     for sizes, clock in others:
         with suppress(DynamicsError):
             motions.append(_settled(problem, about._replace(sizes=sizes), clock, rounds, show))
-    return max(motions, key=MotionFit.order)
+    return max(motions, key=lambda each: (each.rank, each.worth))
 
 
 class _Search(NamedTuple):

@@ -105,7 +105,7 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
         yield f"stamps differ by more than the declared clock error (chance {found.size:.1g})"
     if found.white < UNLIKELY:
         yield f"what is left at successive stamps is correlated (chance {found.white:.1g})"
-    if fit.is_astray and fit.unreached:
+    if fit.misses_impacts:
         yield f"the motion does not reach {fit.unreached} of {fit.residuals.size} impacts"
     if fit.is_behind_stops:
         yield "contacts open where they should close: the motion is on the other side of a stop"

@@ -299,12 +299,12 @@ def test_a_bag_that_is_played_gives_the_events_that_detect_finds(tmp_path: Path)
         ros_node("player") as (node, _),
         ThreadPoolExecutor(1) as pool,
     ):
-        heard = spinner.hear(ImpactEvent, "impacts", EVENTS)
+        messages = spinner.collect(ImpactEvent, "impacts", EVENTS)
         player = Player(node, reader, rate=0.4)
         spinner.until(pool.submit(player.wait_for_subscribers, PATIENCE).done)
         spinner.until(pool.submit(player.play).done)
-        spinner.until(lambda: len(heard) >= len(wanted))
-    received = [*map(read_event, heard)]
+        spinner.until(lambda: len(messages) >= len(wanted))
+    received = [*map(read_event, messages)]
     received.sort(key=lambda e: (e.stamp, e.sequence))
     assert [e.switches for e in received] == [e.switches for e in wanted]
     late = [abs(a.stamp - b.stamp) for a, b in zip(received, wanted, strict=True)]

@@ -59,9 +59,9 @@ def test_events_of_the_simulated_sensor_are_published_on_arrival() -> None:
         **{f"sensor.{name}": value for name, value in faults.items()},
     }
     with hosted(PlantNode, given) as (node, spinner):
-        events = spinner.hear(ImpactEvent, "impacts", EVENTS)
-        models = spinner.hear(String, "plant/model", LATCHED)
-        truth, clock = spinner.hear(JointState, TRUTH), spinner.hear(Clock, "/clock")
+        events = spinner.collect(ImpactEvent, "impacts", EVENTS)
+        models = spinner.collect(String, "plant/model", LATCHED)
+        truth, clock = spinner.collect(JointState, TRUTH), spinner.collect(Clock, "/clock")
         spinner.until(lambda: node.done)
         spinner.settle()
     model, last = read_model("three_mass"), EPOCH + seconds * NS_PER_S
@@ -89,10 +89,10 @@ def test_simulated_sensors_measure_what_they_do_offline() -> None:
         "measurement_rate": 20.0,
     }
     with hosted(PlantNode, given) as (node, spinner):
-        heard = spinner.hear(JointState, "/encoder", SENSORS)
+        messages = spinner.collect(JointState, "/encoder", SENSORS)
         spinner.until(lambda: node.done)
         spinner.settle()
-    found = {stamp_of(each): each.position[0] for each in heard}
+    found = {stamp_of(each): each.position[0] for each in messages}
     model, last = read_model("two_mass"), EPOCH + 2 * NS_PER_S
     simulation = SampleSimulation(read_measurements("encoder"), model.system, 20.0, 3)
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
@@ -112,8 +112,8 @@ def test_a_plant_waits_for_its_inputs_and_ends_without_them(tmp_path: Path) -> N
     given = {**OWN_CLOCK, "model": model, "duration": 4.0, "future": 3.0, "input_timeout": 2.0}
     end = EPOCH + 2 * NS_PER_S
     with hosted(PlantNode, given) as (_, spinner):
-        events = spinner.hear(ImpactEvent, "impacts", EVENTS)
-        truth = spinner.hear(JointState, TRUTH, STATES)
+        events = spinner.collect(ImpactEvent, "impacts", EVENTS)
+        truth = spinner.collect(JointState, TRUTH, STATES)
         quality = qos_profile(FORCING.quality)
         forces = spinner.probe.create_publisher(JointState, FORCING.name, quality)
         spinner.until(forces.get_subscription_count)
@@ -138,8 +138,8 @@ def test_a_jump_of_the_clock_ahead_begins_a_new_episode() -> None:
     start, hour = 100 * NS_PER_S, 3600 * NS_PER_S
     with hosted(PlantNode, {"model": "two_mass", "use_sim_time": True}) as (_, spinner):
         clock = spinner.probe.create_publisher(Clock, "/clock", qos_profile(STATES))
-        truth = spinner.hear(JointState, TRUTH)
-        heard = spinner.hear(ImpactEvent, "impacts", EVENTS)
+        truth = spinner.collect(JointState, TRUTH)
+        messages = spinner.collect(ImpactEvent, "impacts", EVENTS)
         spinner.until(clock.get_subscription_count)
 
         def until_published(stamp: int) -> None:
@@ -149,12 +149,12 @@ def test_a_jump_of_the_clock_ahead_begins_a_new_episode() -> None:
 
         for second in (0, 3, 3600, 3603):
             until_published(start + second * NS_PER_S)
-        spinner.until(lambda: stamp_of(heard[-1]) > start + hour)
-        stamps, events = [*map(stamp_of, truth)], [*map(read_event, heard)]
+        spinner.until(lambda: stamp_of(messages[-1]) > start + hour)
+        stamps, events = [*map(stamp_of, truth)], [*map(read_event, messages)]
         assert [each for each in stamps if start + 3 * NS_PER_S < each < start + hour] == []
         assert {each.episode for each in events} == {0, 1}
         assert {each.epoch for each in events} == {start, start + hour}
-        found = spinner.hear(DiagnosticArray, "/diagnostics")
+        found = spinner.collect(DiagnosticArray, "/diagnostics")
         ahead = "3597.000 s ahead"
         spinner.until(lambda: any(ahead in s.message for each in found for s in each.status))
 
@@ -177,9 +177,9 @@ def test_a_body_at_rest_on_its_stop_is_published_as_closed(tmp_path: Path) -> No
         "observer:initial_state": "'0.3,1.0'",
     }
     with hosted(ObserverNode, given) as (_, spinner):
-        events = spinner.hear(ImpactEvent, "impacts", Quality(transient_local=True))
-        truth = spinner.hear(JointState, TRUTH)
-        states = spinner.hear(ObserverState, "observer/state")
+        events = spinner.collect(ImpactEvent, "impacts", Quality(transient_local=True))
+        truth = spinner.collect(JointState, TRUTH)
+        states = spinner.collect(ObserverState, "observer/state")
         spinner.add(plant := PlantNode())
         spinner.until(lambda: plant.done)
         spinner.settle()
@@ -211,9 +211,9 @@ def test_a_robot_is_simulated_live_as_offline(tmp_path: Path) -> None:
     with spinning(ros_arguments(given)) as spinner:
         publisher = spinner.probe.create_publisher(String, "robot_description", latched)
         publisher.publish(String(data=sample.robot.known_urdf.text))
-        events = spinner.hear(ImpactEvent, "impacts", EVENTS)
-        truth = spinner.hear(JointState, TRUTH)
-        encoders = spinner.hear(JointState, "/joint_states", SENSORS)
+        events = spinner.collect(ImpactEvent, "impacts", EVENTS)
+        truth = spinner.collect(JointState, TRUTH)
+        encoders = spinner.collect(JointState, "/joint_states", SENSORS)
         spinner.add(node := PlantNode())
         spinner.until(lambda: node.done)
         spinner.settle()
