@@ -60,31 +60,27 @@ def dips_of(
     negative = low < -rounding()[:, None]
     if not negative.any():
         return None
-    at = at + ends[:-1, None]
-    found = list[tuple[int, int, tuple[float, float], float, float, bool, bool]]()
-    order = list[float]()
-    for i, h in zip(*np.nonzero(negative.any(axis=0)), strict=True):
-        steps = np.flatnonzero(negative[:, i, h])
-        breaks = np.flatnonzero((np.diff(steps) > 1) | (g[steps[1:], i, h] >= 0)) + 1
-        for run in np.split(steps, breaks):
-            first, last = run[0], run[-1]
-            lowest = run[np.argmin(low[run, i, h])]
-            was_before = bool(first == 0 and g[0, i, h] < 0)
-            is_below = g[first + 1, i, h] < 0
-            began = ends[first, h], ends[first + 1, h] if is_below else at[first, i, h]
-            if was_before:
-                began = ends[0, h] - (ends[1, h] - ends[0, h]), ends[0, h]
-            is_over = bool(g[last + 1, i, h] >= 0)
-            gap = float(low[lowest, i, h])
-            found.append((h, i, began, at[lowest, i, h], gap, is_over, was_before))
-            above, below = max(g[first, i, h], 0.0), g[first + 1, i, h] if is_below else gap
-            order.append(began[0] + (began[1] - began[0]) * above / max(above - below, 1e-300))
-    found = [found[k] for k in np.argsort(order, kind="stable")]  # by when gaps are zero
-    h, contact, bounds, when, gaps, over, before = (
-        np.array(each) for each in zip(*found, strict=True)
+    i, h, step = np.nonzero(negative.transpose(1, 2, 0))  # the steps of a dip stand together
+    is_first = np.ones(len(i), dtype=bool)
+    is_first[1:] = (np.diff(step) != 1) | (np.diff(i) != 0) | (np.diff(h) != 0)
+    is_first |= g[step, i, h] >= 0
+    first, depth = np.flatnonzero(is_first), low[step, i, h]
+    lowest = np.lexsort((depth, np.cumsum(is_first)))[first]
+    last = step[np.append(first[1:], len(i)) - 1]
+    when = ends[step[lowest], h[lowest]] + at[step[lowest], i[lowest], h[lowest]]
+    i, h, step, gap = i[first], h[first], step[first], depth[lowest]
+    before, after = g[step, i, h], g[step + 1, i, h]
+    was_before = (step == 0) & (before < 0)
+    below_from = np.where(after < 0, ends[step + 1, h], ends[step, h] + at[step, i, h])
+    began = np.where(
+        was_before, (2 * ends[0, h] - ends[1, h], ends[0, h]), (ends[step, h], below_from)
     )
-    own = start[h]
-    return Dips(h, contact, bounds + own[:, None], when + own, gaps, over, before)
+    above, below = np.maximum(before, 0.0), np.where(after < 0, after, gap)
+    zero = began[0] + (began[1] - began[0]) * above / np.maximum(above - below, 1e-300)
+    own, is_over = start[h], g[last + 1, i, h] >= 0
+    by = np.argsort(zero, kind="stable")
+    bounds, when = (began + own).T, when + own
+    return Dips(h[by], i[by], bounds[by], when[by], gap[by], is_over[by], was_before[by])
 
 
 def _lowest(g: Array, v: Array, T: Array) -> tuple[Array, Array]:
