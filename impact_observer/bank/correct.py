@@ -112,7 +112,7 @@ def _measured(
     earliest = max(min(farthest, known), 0.0)
     row, gain = np.zeros((H, root.shape[2])), np.zeros((H, N + 1))
     for _ in range(_ITERATIONS):
-        back = flights.images([hit.t] * H, x, -v, hit.held)
+        back = flights.images([hit.t], x, -v, hit.held)
         guard = flights.guard(contact, np.hstack([back.x, x[:, d:]]))
         by_x, by_v, by_own = guard.by, -guard.gamma, guard.by[:, None, :d].copy()
         by_x[:, :d] = (by_own @ back.Phi)[:, 0]
@@ -137,7 +137,7 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
     """States at the stamp after a jump ``v`` before it."""
     x, v, root = stamped
     (H, N), d, p, mechanism = x.shape, flights.d, flights.p, flights.mechanism
-    back = flights.images([hit.t] * H, x, -v, hit.held)
+    back = flights.images([hit.t], x, -v, hit.held)
     after = x.copy()
     after[:, :d], jump, by_jump = _pressed(back.x, x, hit, flights)
     times = [hit.t + -each for each in v.tolist()]

@@ -151,7 +151,7 @@ class Course:
             ago = s[own] - point.start
             plain = np.array([point.is_plain(each) for each in ago.tolist()])
             found[own] = point.gaussian[0]
-            moved = self.flights.images([point.t] * own.size, found[own], ago, point.held)
+            moved = self.flights.images([point.t], found[own], ago, point.held)
             found[own, :d] = moved.x
             for k in own[~plain].tolist():
                 found[k] = self.estimate(float(s[k]))[0]

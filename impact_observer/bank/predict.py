@@ -57,6 +57,11 @@ class Leg(NamedTuple):
     deaf: Vector | None = None
     most: int | None = None
 
+    def times(self, s: Vector) -> list[Elapsed]:
+        """Instants ``s`` seconds after ``t``, shape (H,); one for all where these are equal."""
+        apart = s[:1] if len(s) and s.min() == s.max() else s
+        return [self.t + each for each in apart.tolist()]
+
 
 class Reports(NamedTuple):
     """How the sensors of m contacts report impacts.
@@ -247,10 +252,9 @@ class Flights:
     def flown(self, rows: Hypotheses, leg: Leg, start: Vector, s: Vector) -> Hypotheses:
         """Hypotheses after flights of ``s`` seconds from ``start`` on, without impacts, (H,)."""
         d = self.d
-        at, length = start, s
-        if len(s) > 1 and start.min() == start.max() and s.min() == s.max():
-            at, length = start[:1], s[:1]
-        times = [leg.t + each for each in at.tolist()]
+        times, length = leg.times(start), s
+        if len(times) == 1 and len(s) and s.min() == s.max():
+            length = s[:1]
         images = self.images(times, rows.x, length, leg.held)
         x, S, B = rows.x.copy(), rows.S.copy(), rows.B
         x[:, :d] = images.x
@@ -275,7 +279,7 @@ class Flights:
 
     def _released(self, rows: Hypotheses, start: Vector, leg: Leg) -> Vector:
         """When the load of a closed contact falls to zero, s after ``t``, (H,); inf for never."""
-        times = [leg.t + each for each in start.tolist()]
+        times = leg.times(start)
         flight = rows.x[:, : self.d], leg.s - start, leg.held
         load, ends = self.mechanism.loads_along(times, *flight)
         below = load < 0
@@ -362,7 +366,7 @@ class Flights:
     def dips(self, rows: Hypotheses, leg: Leg, start: Vector) -> Dips | None:
         """Where gaps are below zero from ``start`` to the end of the leg; None if nowhere."""
         n, x = self.d // 2, rows.x[:, : self.d]
-        times = [leg.t + each for each in start.tolist()]
+        times = leg.times(start)
         values = self.mechanism.gaps_along(times, x, leg.s - start, leg.held)
         g = values.g
         if self.p:
@@ -383,10 +387,10 @@ class Flights:
         self, contact: int, leg: Leg, rows: Hypotheses, start: Vector, began: Array
     ) -> tuple[Hypotheses, Vector]:
         """Hypotheses after an impact of a ``contact`` that was missed, each at its own instant."""
-        d, origin = self.d, start.tolist()
+        d = self.d
         at = began.mean(axis=1)
         low, high = began.T.copy()
-        times = [leg.t + each for each in origin]
+        times = leg.times(start)
         for _ in range(_NEWTON):
             x = rows.x.copy()
             x[:, :d] = self.images(times, x, at - start, leg.held).x
@@ -402,7 +406,7 @@ class Flights:
         guard, mechanism = self.guard(contact, rows.x), self.mechanism
         x, speed = rows.x[:, :d], guard.gamma
         jumps = mechanism.impact(x, (*leg.held, contact))
-        t = [leg.t + each for each in at.tolist()]
+        t = leg.times(at)
         before, after = (mechanism.rates(t, each, leg.held) for each in (x, jumps.x))
         by_speed = np.pad(guard.along, ((0, 0), (0, rows.x.shape[1] - d)))
         wide = spread_of(rows, self.ladders, by_speed)

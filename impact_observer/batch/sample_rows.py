@@ -152,7 +152,7 @@ def sample_rows(
             begin = moments.each[k - 1].t if k else moments.start
             times = [sensor.t[i] for i in own.tolist()]
             s = np.array([each - begin for each in times])
-            maps, after = tangent.flights([begin] * own.size, s, held), motion.after[k]
+            maps, after = tangent.flights([begin], s, held), motion.after[k]
             x, Phi, Gamma = maps.of(after), maps.Phi, maps.Gamma(after)
             value, by_theta = x @ sensor.by_x, np.zeros((own.size, p))
             by_x = np.einsum("i,kij->kj", sensor.by_x, Phi)

@@ -64,13 +64,13 @@ def smoothed_states(fit: MotionFit, t: Sequence[Elapsed]) -> SmoothedStates:
             joint[N:, :N] = fit.back.nodes.root[-1]
         else:
             joint = fit.back.joint[2 * k + 1]
-        maps = fit.tangent.flights([begin] * own.size, s, held)
+        maps = fit.tangent.flights([begin], s, held)
         x[own], root[own, :, :size] = _carried(maps, after[k], joint[N:])
         open_for = np.maximum(s, 0.0)
         if not is_last and model:
             T = float(moments.flights[k])
             share = np.clip(s / T, 0.0, 1.0) if T else np.ones(s.size)
-            back = fit.tangent.flights([moments.each[k].t] * own.size, s - T, held)
+            back = fit.tangent.flights([moments.each[k].t], s - T, held)
             x_back, root_back = _carried(back, before[k + 1], joint[:N])
             x[own] += share[:, None] * (x_back - x[own])
             root[own, :, :size] += share[:, None, None] * (root_back - root[own, :, :size])

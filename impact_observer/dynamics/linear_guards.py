@@ -66,7 +66,7 @@ class LinearGuards:
     ) -> Array:
         """Values and slopes at ``times`` where forces have samples or switches."""
         d, drive = self._d, self._tangent.phase(held).flow.drive
-        maps = self._tangent.flights([start] * times.size, times, held)
+        maps = self._tangent.flights([start], times, held)
         x = maps.Phi @ z[:, :d].T + maps.drift[:, :, None]
         y = drive.at_each([elapsed(start) + each for each in times.tolist()])
         later = np.concatenate([x, np.repeat(y[:, :, None], len(z), axis=2)], axis=1)

@@ -159,8 +159,7 @@ class LinearMechanism:
     def rate_slopes(self, t: Sequence[float], x: Array, held: Contacts, /) -> tuple[Array, Array]:
         """The matrix of the phase, the same in all states."""
         A = self.tangent.rate_slope(held)
-        times = t if len(t) == len(x) else [*t] * len(x)
-        return np.broadcast_to(A, (len(x), *A.shape)), self.tangent.by_rates(times, x, held)
+        return np.broadcast_to(A, (len(x), *A.shape)), self.tangent.by_rates(t, x, held)
 
     def gaps(self, x: Array, /) -> Gaps:
         """Directions are the same in all states."""

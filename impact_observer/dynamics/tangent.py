@@ -13,9 +13,8 @@ of the harmonics by a frequency, and ``D`` the derivative of the rates.
 All maps take arrays of states, shape (..., 2n).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -159,27 +158,27 @@ class Tangent:
         """Flights of ``s`` seconds, of any sign, that begin at ``t`` s since the epoch.
 
         Args:
-            t: K instants.
-            s: shape (K,).
+            t: K instants, or one for all.
+            s: shape (K,), or one for all, shape (1,).
             held: contacts that stay closed; states have no speed there.
 
         Raises:
             DynamicsError: the forcing has no sample at one of ``t``.
         """
-        drive = self.phase(held).flow.drive
-        whole = [
-            (k, elapsed(at), float(each)) for k, (at, each) in enumerate(zip(t, s, strict=True))
-        ]
+        drive, starts = self.phase(held).flow.drive, [elapsed(each) for each in t]
         if drive.is_smooth:
-            return self._made(whole, held)
-        parts = list[tuple[int, Elapsed, float]]()
-        for k, at, each in whole:
+            return self._made(starts, s, held)
+        size = max(len(starts), s.size)
+        every = starts * (size // len(starts)), np.broadcast_to(s, size).tolist()
+        begins, lengths, number = list[Elapsed](), list[float](), list[int]()
+        for k, (at, each) in enumerate(zip(*every, strict=True)):
             knots = [0.0, *drive.knots(at, each).tolist(), each] if each > 0 else [0.0, each]
-            parts += [(k, at + a, b - a) for a, b in pairwise(knots)]
-        made = self._made(parts, held)
-        number = np.array([k for k, *_ in parts])
-        first = np.searchsorted(number, np.arange(len(whole)))
-        last = np.searchsorted(number, np.arange(len(whole)), side="right")
+            begins += [at + a for a in knots[:-1]]
+            lengths += np.diff(knots).tolist()
+            number += [k] * (len(knots) - 1)
+        made = self._made(begins, np.array(lengths), held)
+        first = np.searchsorted(number, np.arange(size))
+        last = np.searchsorted(number, np.arange(size), side="right")
         found = Maps(*(np.array(each[first]) for each in made))
         for k in np.flatnonzero(last - first > 1).tolist():
             for j in range(first[k] + 1, last[k]):
@@ -230,7 +229,7 @@ class Tangent:
         Gamma = np.zeros((*x.shape, self.p))
         for k, law in enumerate(laws):
             rebound[..., k] = law.rebound(gamma[..., k])
-            slope[..., k] = _each(law.slope, gamma[..., k])
+            slope[..., k] = law.slope(gamma[..., k])
         lost = gamma + rebound
         after = np.array(x)
         after[..., n:] -= lost @ X.T
@@ -241,7 +240,7 @@ class Tangent:
             for k, (law, i) in enumerate(zip(laws, pressed, strict=True)):
                 own = effect.rebound[i, : len(law.units)]
                 if np.any(own):
-                    by = _each(law.sensitivity, gamma[..., k])
+                    by = law.sensitivity(gamma[..., k])
                     Gamma[..., n:, j] -= (by @ own)[..., None] * X[:, k]
         return Flown(after, Phi, Gamma)
 
@@ -264,24 +263,24 @@ class Tangent:
         """``X`` of ``u+ = u- - X gamma-``, which stops the contacts ``pressed``, shape (n, k)."""
         return self._stops(pressed)[0]
 
-    def _made(self, parts: Sequence[tuple[int, Elapsed, float]], held: Contacts) -> Maps:
-        """Return flights without a knot within: number, start, and duration of each."""
-        flow, p, d = self.phase(held).flow, self.p, 2 * self.n
-        K, size, waves = len(parts), len(flow.exponential.A), self._waves(held)
+    def _made(self, starts: Sequence[Elapsed], s: Vector, held: Contacts) -> Maps:
+        """Return flights without a knot within; see ``flights``."""
+        flow, p, d, K = self.phase(held).flow, self.p, 2 * self.n, max(len(starts), s.size)
+        size, waves = len(flow.exponential.A), self._waves(held)
         exponential, places = self._extended(held)
         Phi, drift = np.empty((K, d, d)), np.empty((K, d))
         phi_slopes, drift_slopes = np.zeros((K, p, d, d)), np.zeros((K, p, d))
-        t, s = (np.array([float(each[k]) for each in parts]) for k in (1, 2))
-        y = self._driven([each for _, each, _ in parts], held).reshape(K, size - d)
-        often = max(_AT_ONCE // exponential.A.size, 1)
+        t, y = np.array(starts)[:, None, None], flow.drive.at_each(starts)[..., None]
+        often, whole = max(_AT_ONCE // exponential.A.size, 1), slice(None)
         for some in (slice(k, k + often) for k in range(0, K, often)):
-            E, driven = exponential.matrices(s[some]), y[some, :, None]
+            of_t, of_s = (some if len(each) > 1 else whole for each in (starts, s))
+            E, driven = exponential.matrices(s[of_s]), y[of_t]
             Phi[some], drift[some] = E[:, :d, :d], (E[:, :d, d:size] @ driven)[..., 0]
             for j, (own, late) in places.items():
                 phi_slopes[some, j] = E[:, own, :d]
                 drift_slopes[some, j] = (E[:, own, d:size] @ driven)[..., 0]
                 if late.stop > late.start:
-                    turned = self._turned(j) @ y[some, waves, None] * t[some, None, None]
+                    turned = self._turned(j) @ driven[:, waves] * t[of_t]
                     drift_slopes[some, j] += (E[:, own, late] @ turned)[..., 0]
         return Maps(Phi, drift, phi_slopes, drift_slopes)
 
@@ -357,12 +356,6 @@ class Tangent:
         effects = {j: each.M for j, each in enumerate(self._effects) if np.any(each.M)}
         inverse = self.phase(pressed).inverse if effects else np.zeros((0, 0))
         return X, {j: inverse @ M @ X for j, M in effects.items()}
-
-
-def _each(function: Callable[[float], object], values: Array) -> Array:
-    """Return a function of one number at all ``values``; further axes are those of the results."""
-    found = np.array([function(each) for each in values.ravel().tolist()])
-    return found.reshape((*values.shape, *found.shape[1:]))
 
 
 def _follow(maps: Maps, k: int, after: Maps) -> None:

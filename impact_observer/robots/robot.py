@@ -610,7 +610,7 @@ class Robot:
         W, free = self.directions(q, pushed), self.inverse_mass(q)
         held = free @ W
         G, gamma = W.T @ held, W.T @ u
-        slopes = [self.rebounds[i].slope(g) for i, g in zip(pushed, gamma.tolist(), strict=True)]
+        slopes = [self.rebounds[i].slope(g) for i, g in zip(pushed, gamma, strict=True)]
         rise = 1.0 + np.array(slopes)
         impulses = _least(G, -self._lost(gamma, pushed))
         change = held @ impulses
@@ -632,7 +632,7 @@ class Robot:
         """Derivatives of ``jumped`` by the first parameter of each rebound law, (2n, k)."""
         n = self.n
         W, held = self.kicks(x[:n], pushed)
-        gamma = (W.T @ x[n:]).tolist()
+        gamma = W.T @ x[n:]
         lost = np.diag(
             [self.rebounds[i].sensitivity(g)[0] for i, g in zip(pushed, gamma, strict=True)]
         )

@@ -49,10 +49,9 @@ class ConstantRestitution(ReboundLaw):
         """``eps`` at speeds of any shape."""
         return np.full(np.shape(speed), self.restitution)
 
-    def slope(self, gamma: float) -> float:
+    def slope(self, gamma: Vector) -> Vector:
         """``eps``."""
-        del gamma
-        return self.restitution
+        return self.restitution_at(gamma)
 
     @property
     def parameters(self) -> tuple[ReboundParameter, ...]:
@@ -64,6 +63,6 @@ class ConstantRestitution(ReboundLaw):
         """The law with another coefficient."""
         return ConstantRestitution(*values)
 
-    def sensitivity(self, gamma: float) -> tuple[float, ...]:
+    def sensitivity(self, gamma: Vector) -> Vector:
         """``dr/deps = gamma``."""
-        return (gamma,)
+        return np.asarray(gamma)[..., None]

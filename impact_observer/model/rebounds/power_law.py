@@ -70,10 +70,11 @@ class PowerLaw(ReboundLaw):
         """``eps`` at speeds ``v`` >= 0, m/s, of any shape."""
         return np.minimum(self.limit, self._unlimited(speed))
 
-    def slope(self, gamma: float) -> float:
-        """``dr/dgamma`` at one contact speed, m/s."""
-        unlimited = float(self._unlimited(np.abs(gamma)))
-        return self.limit if unlimited >= self.limit else (1 + self.exponent) * unlimited
+    def slope(self, gamma: Vector) -> Vector:
+        """``dr/dgamma``: the limit, or that of the power."""
+        unlimited = self._unlimited(np.abs(gamma))
+        power = (1 + self.exponent) * unlimited
+        return np.where(unlimited >= self.limit, self.limit, power)
 
     def _unlimited(self, speed: Vector) -> Vector:
         if not self.value:
@@ -97,10 +98,11 @@ class PowerLaw(ReboundLaw):
         value, exponent = values
         return PowerLaw(value, self.speed, exponent, self.limit)
 
-    def sensitivity(self, gamma: float) -> tuple[float, ...]:
+    def sensitivity(self, gamma: Vector) -> Vector:
         """``dr`` by value and exponent; zero where the limit holds."""
-        unlimited = float(self._unlimited(np.abs(gamma)))
-        if unlimited >= self.limit or not gamma:
-            return 0.0, 0.0
-        ratio = abs(gamma) / self.speed
-        return float(ratio**self.exponent) * gamma, unlimited * float(np.log(ratio)) * gamma
+        gamma = np.asarray(gamma)
+        unlimited = self._unlimited(np.abs(gamma))
+        is_powered = (unlimited < self.limit) & (gamma != 0)
+        ratio = np.where(is_powered, np.abs(gamma), self.speed) / self.speed
+        by = np.stack([ratio**self.exponent, unlimited * np.log(ratio)], axis=-1)
+        return np.where(is_powered[..., None], by * gamma[..., None], 0.0)

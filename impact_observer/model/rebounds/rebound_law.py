@@ -93,8 +93,8 @@ class ReboundLaw(ABC):
         return np.asarray(self.restitution_at(np.abs(gamma)) * gamma)
 
     @abstractmethod
-    def slope(self, gamma: float) -> float:
-        """``dr/dgamma`` at one contact speed, m/s."""
+    def slope(self, gamma: Vector) -> Vector:
+        """``dr/dgamma`` at contact speeds of any shape, m/s."""
 
     @property
     def parameters(self) -> tuple[ReboundParameter, ...]:
@@ -106,7 +106,6 @@ class ReboundLaw(ABC):
         del values
         return self
 
-    def sensitivity(self, gamma: float) -> tuple[float, ...]:
-        """``dr`` by each parameter at one contact speed, m/s."""
-        del gamma
-        return ()
+    def sensitivity(self, gamma: Vector) -> Vector:
+        """``dr`` by each parameter, the last axis, at contact speeds of any shape, m/s."""
+        return np.zeros((*np.shape(gamma), 0))
