@@ -14,7 +14,6 @@ def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> 
     Returns shape (...). ``V`` is a seminorm if ``K`` is singular: zero for rigid-body
     displacements.
     """
-    q, u = np.moveaxis(q, -1, 0), np.moveaxis(u, -1, 0)  # sums over a first axis are fast
-    kinetic = np.einsum("i...,i...->...", np.tensordot(system.M, u, 1), u)
-    potential = np.einsum("i...,i...->...", np.tensordot(system.K, q, 1), q)
+    kinetic = np.einsum("...i,...i->...", u @ system.M, u)
+    potential = np.einsum("...i,...i->...", q @ system.K, q)
     return np.asarray((kinetic + potential) / 2)

@@ -21,7 +21,7 @@ from impact_observer.io.simulated_samples import SampleSimulation, samples_of_ru
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parametric_family, with_unit
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer import Options, law_named, make_observer
+from impact_observer.observer import Observer, Options, law_named, make_observer
 from impact_observer.observer.laws import ReplicaLaw
 from impact_observer.observer.make_observer import initial_state
 from impact_observer.observer.samples import SensorSample
@@ -121,9 +121,8 @@ class Sweep:
         system, sensors = parsed(self.model).system, parsed(self.model).sensors
         for sensor in self.sensors:
             SensorSimulation(sensor, system, sensors=sensors, epoch=self.epoch)
-        for number in range(0, self.size, self.size // len(self.laws)):
-            options = self._case(number)[0]
-            make_observer(parsed(self.models[0][0]), options, measurements=self.measurements)
+        for law in self.laws:
+            self._observer(law, self.models[0][0], 0)
         if self.measurements:
             SampleSimulation(self.measurements, system, self.rate, self.seed)
 
@@ -166,14 +165,14 @@ class Sweep:
 
     def labels(self, number: int) -> dict[str, Value]:
         """Law, seed, start, faults and parameters of a case."""
-        options, sensor, (_, off), run = self._case(number)
+        law, sensor, (_, off), run = self._place(number)
         faults = {each.name: getattr(sensor, each.name) for each in fields(SensorModel)}
         return {
             "case": number,
-            "law": options.law,
+            "law": law,
             "run": run,
             "seed": self.seed + run,
-            "initial": options.initial_state,
+            "initial": self._start(run),
             **{SENSOR + k: v if isinstance(v, bool) else float(v) for k, v in faults.items()},
             **{OFF + name: value for name, value in off.items()},
         }
@@ -194,35 +193,41 @@ class Sweep:
         words = fault.name.replace("_", " ")
         return f"{words} [{fault.unit}]" if fault.unit else words
 
-    def _case(
-        self, number: int
-    ) -> tuple[Options, SensorModel, tuple[str, Mapping[str, float]], int]:
-        """Options of the observer, sensor, model of the observer, and run of a case."""
+    def _place(self, number: int) -> tuple[str, SensorModel, tuple[str, Mapping[str, float]], int]:
+        """Law, sensor, model of the observer, and run of a case."""
         shape = len(self.laws), len(self.sensors), len(self.models), self.runs
         law, sensor, model, run = map(int, np.unravel_index(number, shape))
+        return self.laws[law], self.sensors[sensor], self.models[model], run
+
+    def _start(self, run: int) -> str:
+        """The initial state of the observer in a run."""
         start = self.options.initial_state
-        start = f"{RANDOM}:{self.seed + run}" if start == RANDOM else start
+        return f"{RANDOM}:{self.seed + run}" if start == RANDOM else start
+
+    def _observer(self, law: str, model: str, run: int) -> Observer:
+        """An observer with one replica."""
         options = replace(
             self.options,
-            law=self.laws[law],
-            initial_state=start,
+            law=law,
+            initial_state=self._start(run),
             ensemble=1,
             epoch=self.epoch,
         )
-        return options, self.sensors[sensor], self.models[model], run
+        return make_observer(parsed(model), options, measurements=self.measurements)
 
     def _alike(self, block: range) -> list[list[int]]:
         """The cases of a block, those with equal events together if the law has replicas."""
-        options, sensor, _, _ = self._case(block[0])
+        law, sensor, _, _ = self._place(block[0])
         is_exact = not (sensor.faults or parsed(self.model).sensors)
-        has_replicas = issubclass(law_named(options.law), ReplicaLaw)
+        has_replicas = issubclass(law_named(law), ReplicaLaw)
         if is_exact and has_replicas and not self.measurements:
             return [[*block]]
         return [[number] for number in block]
 
     def _metrics(self, cases: Sequence[int]) -> list[dict[str, Value]]:
-        options, sensor, (model, _), k = self._case(cases[0])
+        law, sensor, (model, _), k = self._place(cases[0])
         run, system, seed = self.plant_run, parsed(self.model).system, self.seed + k
+        starts = [self._start(self._place(number)[-1]) for number in cases]
         sensed = simulate_sensor(
             sensor,
             system,
@@ -237,8 +242,7 @@ class Sweep:
         if self.measurements:
             simulation = SampleSimulation(self.measurements, system, self.rate, seed)
             samples = samples_of_run(simulation, run)
-        observer = make_observer(parsed(model), options, measurements=self.measurements)
-        starts = [self._case(number)[0].initial_state for number in cases]
+        observer = self._observer(law, model, k)
         states = [np.concatenate(initial_state(each, system)) for each in starts]
         observer.start_from(np.array(states))
         comparisons = compare_replicas(
