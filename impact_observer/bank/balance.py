@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.bank.bank import Hypotheses
-from impact_observer.bank.correct import Hit, corrected
+from impact_observer.bank.correct import Hit, at_impact
 from impact_observer.bank.predict import Flights
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, uncertain_balance
 from impact_observer.states import Vector
@@ -30,7 +30,7 @@ def balance_of(
     Raises:
         ImpactLawError: the impact law has no solution.
     """
-    _, stamped = corrected(row, hit, flights, considered)
+    stamped = at_impact(row, hit, flights, considered)
     d, p, mechanism = flights.d, flights.p, flights.mechanism
     back = flights.images([hit.t], stamped.x, -stamped.v, hit.held)
     root, own = stamped.root[0], back.x[0]

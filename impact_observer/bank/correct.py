@@ -63,24 +63,32 @@ class Stamped(NamedTuple):
 
 def corrected(
     rows: Hypotheses, hit: Hit, flights: Flights, considered: NDArray[np.intp]
-) -> tuple[Hypotheses, Stamped]:
-    """Hypotheses after an impact, and at the stamp without the jump.
+) -> Hypotheses:
+    """Hypotheses after an impact, with their weights; arguments as of :func:`at_impact`.
 
-    Their rungs are those by which they explain the impact; their weights stay.
+    Raises:
+        ImpactLawError: the impact law has no solution on these contacts.
+    """
+    return _jumped(rows, at_impact(rows, hit, flights, considered), hit, flights)
+
+
+def at_impact(
+    rows: Hypotheses, hit: Hit, flights: Flights, considered: NDArray[np.intp]
+) -> Stamped:
+    """Hypotheses at the stamp of an impact, which corrects them, without the jump.
+
+    Their rungs are those by which they explain the impact.
 
     Args:
         rows: hypotheses with the same closed contacts.
         hit: the impact.
         flights: near their parameters.
         considered: numbers of the state that are not estimated.
-
-    Raises:
-        ImpactLawError: the impact law has no solution on these contacts.
     """
     stamped = stamped_of(rows, flights, hit.contacts[0])
     for contact in hit.contacts:
         stamped = _measured(stamped, contact, hit, flights, considered)
-    return _jumped(rows, stamped, hit, flights), stamped
+    return stamped
 
 
 def stamped_of(rows: Hypotheses, flights: Flights, contact: int) -> Stamped:

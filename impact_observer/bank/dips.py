@@ -23,6 +23,7 @@ class Dips(NamedTuple):
         h: the hypothesis.
         contact: the contact.
         began: bounds of the instant at which the gap falls below zero, s, shape (D, 2).
+        zero: a guess of that instant, by a line between values of the gap there, s.
         lowest: when it is lowest, s.
         gap: how low, m.
         is_over: whether the gap has come back above zero.
@@ -32,6 +33,7 @@ class Dips(NamedTuple):
     h: NDArray[np.intp]
     contact: NDArray[np.intp]
     began: Array
+    zero: Vector
     lowest: Vector
     gap: Vector
     is_over: NDArray[np.bool_]
@@ -75,12 +77,14 @@ def dips_of(
     began = np.where(
         was_before, (2 * ends[0, h] - ends[1, h], ends[0, h]), (ends[step, h], below_from)
     )
-    above, below = np.maximum(before, 0.0), np.where(after < 0, after, gap)
-    zero = began[0] + (began[1] - began[0]) * above / np.maximum(above - below, 1e-300)
+    below = np.where(after < 0, after, gap)
+    falls = (before > 0) & (v[step, i, h] < 0)
+    part = np.where(falls, before / np.maximum(before - below, 1e-300), 0.5)
+    zero = began[0] + (began[1] - began[0]) * part
     own, is_over = start[h], g[last + 1, i, h] >= 0
     by = np.argsort(zero, kind="stable")
-    bounds, when = (began + own).T, when + own
-    return Dips(h[by], i[by], bounds[by], when[by], gap[by], is_over[by], was_before[by])
+    bounds, zero, when = (began + own).T[by], (zero + own)[by], (when + own)[by]
+    return Dips(h[by], i[by], bounds, zero, when, gap[by], is_over[by], was_before[by])
 
 
 def _lowest(g: Array, v: Array, T: Array) -> tuple[Array, Array]:

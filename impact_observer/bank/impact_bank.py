@@ -399,7 +399,7 @@ class ImpactBank:
             for which, held in chosen.take(of_contact).by_held():
                 own, closed = of_contact[which], tuple(sorted({*held, *event.closed}))
                 group = chosen.take(own)
-                rows, _ = corrected(group, Hit(t, hit, held, closed), flights, self._considered)
+                rows = corrected(group, Hit(t, hit, held, closed), flights, self._considered)
                 just = np.full_like(group.just, bits(hit))
                 rows = rows._replace(just=just, held=np.full_like(group.held, bits(closed)))
                 kind, other = TRUE if i == named else OTHER, (i, self.names[i])

@@ -26,8 +26,8 @@ from impact_observer.states import Vector
 
 _ROUNDING = 1e-13
 """Depth of a dip that is rounding, over the size of the gap."""
-_SETTLED = 1e-12
-"""Change of an instant that ends its search, over the fastest time scale."""
+_SETTLED = 1e-7
+"""Step of Newton that is the last one, over the fastest time scale; the next is its square."""
 _NEWTON = 8
 """Steps by which the instant of a predicted impact is found."""
 _NO_STAMP = 0.1
@@ -353,7 +353,8 @@ class Flights:
         spawned, since = [], []
         for i in np.unique(dips.contact[which]).tolist():
             own = np.flatnonzero(dips.contact[which] == i)
-            parts = parents.take(own), start[dips.h[which]][own], dips.began[which][own]
+            near = (*dips.began[which][own].T, dips.zero[which][own])
+            parts = parents.take(own), start[dips.h[which]][own], near
             after, when = self._after_missed(i, leg, *parts)
             deaf = -np.inf if leg.deaf is None else leg.deaf[i]
             dead = (dips.began[which][own][:, 1] < deaf).tolist()
@@ -384,12 +385,13 @@ class Flights:
         return dips_of(values._replace(g=g), start, rounding, ignored)
 
     def _after_missed(
-        self, contact: int, leg: Leg, rows: Hypotheses, start: Vector, began: Array
+        self, contact: int, leg: Leg, rows: Hypotheses, start: Vector, about: tuple[Vector, ...]
     ) -> tuple[Hypotheses, Vector]:
-        """Hypotheses after an impact of a ``contact`` that was missed, each at its own instant."""
-        d = self.d
-        at = began.mean(axis=1)
-        low, high = began.T.copy()
+        """Hypotheses after an impact of a ``contact`` that was missed, each at its own instant.
+
+        The instants are ``about``: lower bounds, upper bounds, and a guess, s, shape (H,) each.
+        """
+        d, (low, high, at) = self.d, about
         times = leg.times(start)
         for _ in range(_NEWTON):
             x = rows.x.copy()

@@ -242,7 +242,10 @@ class MinimumVariance(Law):
         best = bank.rows.take([bank.rows.best])
         late = prior.late if after is None else bank.late
         t = elapsed(change.t) + -late
-        rows = filter_.before(prior, t, change.hit).rows
+        if after is None:
+            rows = filter_.predicted(prior, t - prior.t, change.hit).rows
+        else:
+            rows = filter_.before(prior, t, change.hit).rows
         event = change.stamp, change.sequence
         inserted = sum(n.is_inserted and n.event == event for n in best.notes[0]) if after else 0
         own = np.array([len(each) == inserted for each in rows.missed])
