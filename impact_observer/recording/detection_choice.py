@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from impact_observer.detector import Source
 from impact_observer.detector.peak import RINGING
-from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
+from impact_observer.errors import BagError, DynamicsError, ImpactLawError, UsageError
 from impact_observer.model import System
 from impact_observer.plant import Plant
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
@@ -155,7 +155,7 @@ def choose_detection(
         expected: the impacts of the model; None if unknown.
 
     Raises:
-        UsageError: no peak exceeds the noise.
+        BagError: no peak exceeds the noise.
     """
     t = (stamps - stamps[0]) / NS_PER_S
     offset = float(np.median(values))
@@ -167,10 +167,12 @@ def choose_detection(
     height = {"up": signal, "down": -signal}.get(source.direction or "both", np.abs(signal))
     top = float(np.max(height))
     floor = max(_NOISE * noise, _SILENT * top)
-    if top <= floor:
-        raise source.wrong(
-            "threshold",
-            f"no peak of {source.topic} exceeds {floor:.3g}, {_NOISE:g} times the noise",
+    loudest = max(_ABOVE * noise * float(np.sqrt(2 * np.log(t.size))), floor)
+    least = loudest if source.threshold is None else floor
+    if top <= least:
+        raise BagError(
+            f"{source.contact}: no peak of {source.topic} exceeds {least:.3g}, which noise alone"
+            " may reach; expected impacts, or their threshold in a file for --sources"
         )
     interval = _INTERVAL if expected is None else expected.interval
     dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
@@ -182,8 +184,7 @@ def choose_detection(
     if threshold is None:
         _, every = _peaks(t, height, floor, dead, decay)
         count = None if expected is None else expected.rate * float(t[-1])
-        loudest = _ABOVE * noise * float(np.sqrt(2 * np.log(t.size)))
-        threshold, doubt = _threshold(height[every], floor, max(loudest, floor), count)
+        threshold, doubt = _threshold(height[every], floor, loudest, count)
         doubts += [f"{source.contact}: {doubt}"] if doubt else []
     begins, tops = _peaks(t, height, threshold, dead, decay)
     is_turned = np.any(signal[begins] * signal[tops] < 0)
