@@ -15,7 +15,7 @@ from impact_observer.detector.source import ARRIVAL, PEAK
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
-from impact_observer.io.bag_files import SIGNAL_FILES, SOUND_FILES
+from impact_observer.io.bag_files import SIGNAL_FILES, SOUND_FILES, storage_of
 from impact_observer.io.import_table import import_table
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.reader import BagReader
@@ -99,6 +99,24 @@ class RecordedImpacts:
     refused: Sequence[Stamps] = ()
 
 
+def check_recording(path: Path) -> None:
+    """Check that a path has the name of a recording that can be read.
+
+    Raises:
+        UsageError: its suffix is that of a model or of a sound to convert, or there is no bag.
+    """
+    suffix = path.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        raise UsageError(f"{path}: {suffix} found; expected the recording first, then the model")
+    if suffix in _CONVERTED:
+        wav = path.with_suffix(".wav").name
+        raise UsageError(
+            f"{path}: {suffix} found; expected a WAV, as ffmpeg -i {path.name} {wav} makes"
+        )
+    if suffix not in SIGNAL_FILES:
+        storage_of(path)
+
+
 def read_recording(
     task: Task, bag: Path, show: Callable[[str], None] = lambda _: None
 ) -> RecordedImpacts:
@@ -108,14 +126,9 @@ def read_recording(
         UsageError, BagError: the recording cannot be read, has no impact, or does not go with the
             model.
     """
-    path, suffix = task.path, task.path.suffix.lower()
+    path = task.path
     show(f"reading {path}")
-    if suffix in _CONVERTED:
-        wav = path.with_suffix(".wav").name
-        raise UsageError(
-            f"{path}: {suffix} found; expected a WAV, as ffmpeg -i {path.name} {wav} makes"
-        )
-    if suffix not in SIGNAL_FILES:
+    if path.suffix.lower() not in SIGNAL_FILES:
         return _from_bag(task, bag)
     if (signal := _signal(task)) is not None:
         return _from_signal(task, signal, bag)
