@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import NotNegative, Value, converted
+from impact_observer.model.document import LARGEST, NotNegative, Value, converted
 from impact_observer.model.free_parameters import OFFSET, parametric_family
 from impact_observer.model.parameter_uncertainty import KEY, ParameterUncertainty
 from impact_observer.model.parametric_family import ModelParameter
@@ -138,7 +138,7 @@ def declared_deviations(
         if (place := by_path.get(path)) is None:
             kinds = ", ".join(dict.fromkeys(each.name.partition(".")[0] for each in places))
             problem = f"has a deviation, and is none of {kinds}"
-            wanted = f"expected a plain number, and {KEY} for parameters such as stiffness-scale"
+            wanted = f"expected a plain number, and {KEY} for parameters of many numbers"
             raise ModelError(key, f"{problem}; {wanted}")
         if place.name in keys:
             problem = f"has a deviation, and {place.name} has one at {keys[place.name]}"
@@ -146,11 +146,21 @@ def declared_deviations(
         if not place.slope:
             raise ModelError(key, "is 0 with a deviation; expected another value, or a plain 0")
         keys[place.name], slopes[place.name] = key, abs(place.slope)
+        if deviation > (most := math.sqrt(LARGEST) * slopes[place.name]):
+            raise _too_large(key, deviation, most)
         variances.append((deviation / place.slope) ** 2)
     before = given.covariance if given else np.empty((0, 0))
     covariance: Matrix = linalg.block_diag(before, np.diag(variances))
     known = ParameterUncertainty((*keys,), covariance, given.fitted_to if given else None)
     return DeclaredDeviations(known, keys, slopes)
+
+
+def _too_large(key: str, deviation: float, most: float) -> ModelError:
+    """The error of a deviation with which its value is useless."""
+    if not key.startswith(KEY):
+        key = f"{key.removesuffix('.value')}.{_DEVIATION}"
+    problem = f"{deviation:g} found; expected at most {most:g}: find the value with identify"
+    return ModelError(key, problem)
 
 
 def of_use(
@@ -168,11 +178,9 @@ def of_use(
         least.append(low)
         if deviation > most:
             key, slope = keys[each.name], slopes[each.name]
-            raise ModelError(
-                f"{KEY}.covariance[{i}][{i}]" if key.startswith(KEY) else f"{key}.deviation",
-                f"{deviation * slope:g} found; expected at most {most * slope:g}: find the value"
-                " with identify",
-            )
+            if key.startswith(KEY):
+                key = f"{KEY}.covariance[{i}][{i}]"
+            raise _too_large(key, deviation * slope, most * slope)
     used = np.sqrt(np.diag(known.covariance)) >= least
     return replace(known, covariance=known.covariance * np.outer(used, used))
 
