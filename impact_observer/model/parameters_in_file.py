@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.document import LARGEST, NotNegative, Value, converted
+from impact_observer.model.document import NotNegative, Value, converted
 from impact_observer.model.free_parameters import OFFSET, parametric_family
 from impact_observer.model.parameter_uncertainty import KEY, ParameterUncertainty
 from impact_observer.model.parametric_family import ModelParameter
@@ -146,21 +146,11 @@ def declared_deviations(
         if not place.slope:
             raise ModelError(key, "is 0 with a deviation; expected another value, or a plain 0")
         keys[place.name], slopes[place.name] = key, abs(place.slope)
-        if deviation > (most := math.sqrt(LARGEST) * slopes[place.name]):
-            raise _too_large(key, deviation, most)
         variances.append((deviation / place.slope) ** 2)
     before = given.covariance if given else np.empty((0, 0))
     covariance: Matrix = linalg.block_diag(before, np.diag(variances))
     known = ParameterUncertainty((*keys,), covariance, given.fitted_to if given else None)
     return DeclaredDeviations(known, keys, slopes)
-
-
-def _too_large(key: str, deviation: float, most: float) -> ModelError:
-    """The error of a deviation with which its value is useless."""
-    if not key.startswith(KEY):
-        key = f"{key.removesuffix('.value')}.{_DEVIATION}"
-    problem = f"{deviation:g} found; expected at most {most:g}: find the value with identify"
-    return ModelError(key, problem)
 
 
 def of_use(
@@ -178,9 +168,12 @@ def of_use(
         least.append(low)
         if deviation > most:
             key, slope = keys[each.name], slopes[each.name]
-            if key.startswith(KEY):
-                key = f"{KEY}.covariance[{i}][{i}]"
-            raise _too_large(key, deviation * slope, most * slope)
+            own = f"{key.removesuffix('.value')}.{_DEVIATION}"
+            raise ModelError(
+                f"{KEY}.covariance[{i}][{i}]" if key.startswith(KEY) else own,
+                f"{deviation * slope:g} found; expected at most {most * slope:g}: find the value"
+                " with identify",
+            )
     used = np.sqrt(np.diag(known.covariance)) >= least
     return replace(known, covariance=known.covariance * np.outer(used, used))
 

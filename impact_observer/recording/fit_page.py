@@ -18,6 +18,7 @@ from impact_observer.draw.reports import figure
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.io import interfaces
+from impact_observer.io.bag_files import SIGNAL_FILES, storage_of
 from impact_observer.io.bag_part import FILE_ZERO, TimeZero, time_zero
 from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
@@ -29,12 +30,7 @@ from impact_observer.model.system import refuse_squares, unit_of
 from impact_observer.output_files import check_outputs, temporary_beside
 from impact_observer.recording.before_the_fit import check_times, doubtful_contacts, model_warnings
 from impact_observer.recording.fit_and_smooth import FitTask, FittedRecording, fit_bag
-from impact_observer.recording.impacts_in_recording import (
-    RecordedImpacts,
-    Task,
-    check_recording,
-    read_recording,
-)
+from impact_observer.recording.impacts_in_recording import RecordedImpacts, Task, read_recording
 from impact_observer.recording.recording_picture import (
     PlottedMotion,
     PlottedSignal,
@@ -97,7 +93,8 @@ def fit_recording(
         NotLinearError: the model is a robot.
     """
     check_outputs([(folder, ())])
-    check_recording(recording)
+    if recording.suffix.lower() not in SIGNAL_FILES:
+        storage_of(recording)
     given = model_text(model)
     read = parse_model(*given)
     names = read.system.contact_names  # a robot has no system
@@ -234,7 +231,7 @@ def _numbers(task: FitTask, fit: FittedRecording) -> Iterator[str]:
     found = fit.identification
     if found is None or fit.failure:
         return
-    known = task.model.uncertainty
+    known = task.prior
     given = {} if known is None else dict(zip(known.names, known.deviations.tolist(), strict=True))
     each = zip(found.family.parameters, found.values.tolist(), found.errors.tolist(), strict=True)
     lines = [

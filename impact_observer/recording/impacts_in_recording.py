@@ -15,7 +15,7 @@ from impact_observer.detector.source import ARRIVAL, PEAK
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
-from impact_observer.io.bag_files import SIGNAL_FILES, SOUND_FILES, storage_of
+from impact_observer.io.bag_files import SIGNAL_FILES, SOUND_FILES
 from impact_observer.io.import_table import import_table
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.reader import BagReader
@@ -38,8 +38,6 @@ _EVEN = 0.05
 """Largest usual deviation of the intervals between samples of a signal, over their median."""
 _USUAL = 60.0
 """Time for which the impacts of the model are simulated where there is no signal, s."""
-_CONVERTED = (".m4a", ".mp3", ".aac", ".mp4", ".mov", ".wma", ".opus")
-"""Suffixes of sounds and films that another program makes a WAV of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,24 +95,6 @@ class RecordedImpacts:
     sources: Sequence[Source] = ()
     traces: Sequence[SignalTrace] = ()
     refused: Sequence[Stamps] = ()
-
-
-def check_recording(path: Path) -> None:
-    """Check that a path has the name of a recording that can be read.
-
-    Raises:
-        UsageError: its suffix is that of a model or of a sound to convert, or there is no bag.
-    """
-    suffix = path.suffix.lower()
-    if suffix in (".yaml", ".yml"):
-        raise UsageError(f"{path}: {suffix} found; expected the recording first, then the model")
-    if suffix in _CONVERTED:
-        wav = path.with_suffix(".wav").name
-        raise UsageError(
-            f"{path}: {suffix} found; expected a WAV, as ffmpeg -i {path.name} {wav} makes"
-        )
-    if suffix not in SIGNAL_FILES:
-        storage_of(path)
 
 
 def read_recording(

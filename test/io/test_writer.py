@@ -102,7 +102,7 @@ def test_existing_path_is_refused_and_left_alone(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine", "utf-8")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     for name in ("file", "link", "."):
-        with pytest.raises(UsageError, match=r"exists already; remove it or choose"):
+        with pytest.raises(UsageError, match=r"exists already; remove it, or choose"):
             BagWriter(tmp_path / name)
     assert (tmp_path / "file").read_text("utf-8") == "mine"
 

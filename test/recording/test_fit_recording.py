@@ -187,26 +187,19 @@ def test_numbers_that_times_do_not_tell_are_counted(
     assert "2 of these 3 numbers" in capsys.readouterr().out
 
 
-def test_a_start_that_the_fitted_stop_reaches_is_left_out(run: Run, rig: Path) -> None:
-    """A fit needs no start; the stop is at 0.5 m, and was thought to be at 0.52 m."""
+def test_a_known_epoch_keeps_the_phase_and_no_start_is_needed(run: Run, rig: Path) -> None:
+    """With ``--epoch`` the phase is no number to identify; a start in the fitted stop goes."""
     text = (
         (rig / "rig.yaml")
         .read_text()
         .replace("limit: 0.5", "limit: {value: 0.52, deviation: 0.05}")
     )
-    (rig / "rig.yaml").write_text(
-        f"{text}initial_state: {{position: [0, 0.51], velocity: [0, 0]}}\n"
-    )
-    words = [typed_times(run, rig).name, "rig.yaml", "-o", "out", "--epoch", "1"]
-    assert main(["fit", *words]) == 0
-    assert read_model(rig / "out" / "fitted.yaml").position is None
-
-
-def test_a_known_epoch_keeps_the_phase(run: Run, rig: Path) -> None:
-    """With ``--epoch`` the phase is no number to identify."""
+    start = "initial_state: {position: [0, 0.51], velocity: [0, 0]}"
+    (rig / "rig.yaml").write_text(f"{text}{start}\n")
     recording = typed_times(run, rig).name
     assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
     assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
+    assert read_model(rig / "out" / "fitted.yaml").position is None
 
 
 def test_the_signal_is_shown_before_the_fit_begins(run: Run, rig: Path) -> None:
