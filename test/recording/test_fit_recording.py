@@ -189,13 +189,9 @@ def test_numbers_that_times_do_not_tell_are_counted(
 
 def test_a_known_epoch_keeps_the_phase_and_no_start_is_needed(run: Run, rig: Path) -> None:
     """With ``--epoch`` the phase is no number to identify; a start in the fitted stop goes."""
-    text = (
-        (rig / "rig.yaml")
-        .read_text()
-        .replace("limit: 0.5", "limit: {value: 0.52, deviation: 0.05}")
-    )
-    start = "initial_state: {position: [0, 0.51], velocity: [0, 0]}"
-    (rig / "rig.yaml").write_text(f"{text}{start}\n")
+    text = MODEL.replace("limit: 0.5", "limit: {value: 0.52, deviation: 0.05}")
+    start = "initial_state: {position: [0, 0.51], velocity: [0, 0]}\n"
+    (rig / "rig.yaml").write_text(text.replace("RESTITUTION", UNKNOWN) + start)
     recording = typed_times(run, rig).name
     assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
     assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
