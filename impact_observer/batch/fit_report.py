@@ -281,8 +281,7 @@ def write_model(
     text = model_text(found, given, bag, output, initial=initial and not is_inside)
     with replacing(output) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    is_left_out = initial and is_inside
-    return "without the initial state, which is inside a stop" if is_left_out else ""
+    return "without the initial state, which is inside a stop" if initial and is_inside else ""
 
 
 def model_text(

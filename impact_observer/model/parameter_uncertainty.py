@@ -140,8 +140,7 @@ def _checked_covariance(covariance: Matrix, p: int) -> Matrix:
         ModelError: not finite, not symmetric or not positive semidefinite.
     """
     key = f"{KEY}.covariance"
-    wanted = f"{p} x {p} numbers, one row a name"
-    given = finite(key, covariance, (p, p), wanted, LARGEST**2)
+    given = finite(key, covariance, (p, p), f"{p} x {p} numbers, one row a name", LARGEST**2)
     for i in np.flatnonzero(np.diag(given) < 0):
         raise ModelError(f"{key}[{i}][{i}]", f"is {given[i, i]:g}; expected a variance, >= 0")
     deviations = np.sqrt(np.diag(given))

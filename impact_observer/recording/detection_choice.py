@@ -36,7 +36,7 @@ _LOUD = 0.5
 _USUAL = 0.9
 """Quantile of the ringing after these peaks that counts."""
 _MARGIN = 1.25
-"""Threshold in the ringing after a peak, over the usual ringing."""
+"""Threshold in the ringing after a peak, over the usual ringing; also a gap between heights."""
 _CLEAR = 0.75
 """Time after a peak with nothing but ringing, relative to the shortest usual interval."""
 _PRIOR = 0.5
@@ -168,14 +168,16 @@ def choose_detection(
     top = float(np.max(height))
     floor = max(_NOISE * noise, _SILENT * top)
     loudest = max(_ABOVE * noise * float(np.sqrt(2 * np.log(t.size))), floor)
-    least = loudest if source.threshold is None else floor
-    if top <= least:
-        raise BagError(
-            f"{source.contact}: no peak of {source.topic} exceeds {least:.3g}, which noise alone"
-            " may reach; expected impacts, or their threshold in a file for --sources"
-        )
     interval = _INTERVAL if expected is None else expected.interval
     dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
+    usual = np.sort(height[_peaks(t, height, noise, dead, 0.0)[1]])
+    usual = usual[usual.size // 2 :]  # those of noise have no gap
+    has_gap = source.threshold is not None or np.any(usual[1:] > _MARGIN * usual[:-1])
+    if top <= (floor if has_gap else loudest):
+        raise BagError(
+            f"{source.contact}: no peak of {source.topic} differs from noise, which may reach"
+            f" {loudest:.3g}; expected impacts, or their threshold in a file for --sources"
+        )
     decay = source.decay
     if decay is None:
         decay = _decay(t, height, dead, interval, floor)

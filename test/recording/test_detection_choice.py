@@ -124,6 +124,14 @@ def test_noise_alone_is_an_error_that_names_the_topic(digits: int) -> None:
         choose_detection(SENSOR, stamps, np.round(values, digits), EXPECTED)
 
 
+def test_hits_above_a_hum_are_found() -> None:
+    """White noise of the size of this hum may be louder than the hits."""
+    stamps, values = ringing(HITS[::2], np.ones(HITS[::2].size))
+    values += 0.2 * np.sin(100 * np.pi * (stamps - START) / 1e9)
+    chosen = choose_detection(SENSOR, stamps, values, ExpectedImpacts(0.04, 9.5))
+    assert detected(chosen.source, stamps, values).size == HITS[::2].size
+
+
 def test_a_model_tells_how_often_its_impacts_come() -> None:
     """The period-one motion of three_mass; a ball at rest tells nothing."""
     found = expected_impacts(read_model("three_mass").system, 60.0)

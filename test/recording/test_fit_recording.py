@@ -192,8 +192,7 @@ def test_a_known_epoch_keeps_the_phase_and_no_start_is_needed(run: Run, rig: Pat
     text = MODEL.replace("limit: 0.5", "limit: {value: 0.52, deviation: 0.05}")
     start = "initial_state: {position: [0, 0.51], velocity: [0, 0]}\n"
     (rig / "rig.yaml").write_text(text.replace("RESTITUTION", UNKNOWN) + start)
-    recording = typed_times(run, rig).name
-    assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
+    assert main(["fit", typed_times(run, rig).name, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
     assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
     assert read_model(rig / "out" / "fitted.yaml").position is None
 
