@@ -281,8 +281,7 @@ def write_model(
     text = model_text(found, given, bag, output, initial=initial and not is_inside)
     with replacing(output) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    is_left_out = initial and is_inside
-    return "without the initial state, which is inside a stop" if is_left_out else ""
+    return "without the initial state, which is inside a stop" if initial and is_inside else ""
 
 
 def model_text(
@@ -295,7 +294,8 @@ def model_text(
         given: the file that the model was fitted from.
         bag: the recording.
         output: the file that will hold the text; named in errors.
-        initial: whether to write the initial state too.
+        initial: whether to write the initial state too; that of ``given`` goes where the fitted
+            values put it inside a stop.
 
     Raises:
         ModelError: the fitted values make no valid model.
@@ -316,8 +316,8 @@ def model_text(
     }
     if "provenance" in document:
         provenance["before"] = document["provenance"]
-    plain, places = without_deviations(document).document, parse_model(*given).places
-    entries = changes(plain, places, found.family, found.values)
+    plain, model = without_deviations(document).document, parse_model(*given)
+    entries = changes(plain, model.places, found.family, found.values)
     before = document.get(KEY)
     known = before and ParameterUncertainty(tuple(before["names"]), before["covariance"])
     if uncertainty := _written_uncertainty(found, known):
@@ -325,6 +325,11 @@ def model_text(
     if initial:
         q, u = np.split(initial_state(found), 2)
         entries["initial_state",] = {"position": q.tolist(), "velocity": u.tolist()}
+    elif model.position is not None and model.velocity is not None:
+        try:
+            found.family.system_at(found.values).checked_start(model.position, model.velocity)
+        except UsageError:  # inside a stop
+            entries["initial_state",] = None
     text = edited(given.text, {**entries, ("provenance",): provenance})
     parse_model(*given._replace(text=text, source=str(output)))
     return text

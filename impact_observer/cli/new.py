@@ -12,7 +12,6 @@ No file is replaced.
 """
 
 import argparse
-import os
 import re
 from pathlib import Path
 
@@ -37,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         UsageError: the name is that of no file, there is no such template, or a file exists.
         OutputError: the disk is full or gone.
     """
-    from impact_observer.output_files import replacing
+    from impact_observer.output_files import check_outputs, replacing
     from impact_observer.resources import read_text, shared
 
     templates = {each.name: each for each in sorted(shared("config/templates").iterdir())}
@@ -52,9 +51,7 @@ def run(args: argparse.Namespace) -> int:
         Path(path.name.replace(_PLACE, args.name)): read_text(path).replace(_PLACE, args.name)
         for path in sorted(templates[args.template].glob(f"{_PLACE}*"))
     }
-    for path in texts:
-        if os.path.lexists(path):
-            raise UsageError(f"{path}: exists already; choose another name")
+    check_outputs([(path, ()) for path in texts])
     for path, text in texts.items():
         with replacing(path) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -29,6 +29,8 @@ SOUND_FILES = (".wav", ".flac", ".ogg")
 """Suffixes of sounds."""
 SIGNAL_FILES = (".csv", ".txt", ".tsv", ".dat", ".lvm", *SOUND_FILES)
 """Suffixes of tables and sounds, of which commands make bags."""
+_CONVERTED = (".m4a", ".mp3", ".aac", ".mp4", ".mov", ".wma", ".opus")
+"""Suffixes of sounds and films that another program makes a WAV of."""
 _MOST_NESTED = 1000
 """Brackets, and letters of a line, up to which metadata cannot be nested too deeply."""
 
@@ -48,6 +50,10 @@ def storage_of(path: Path) -> str:
         remedy = "`import` makes one of a table of times, `detect` of a signal, as CSV or WAV"
         if path.suffix == ".bag":
             remedy = FROM_ROS_1
+        elif path.suffix.lower() in _CONVERTED:
+            remedy = f"`ffmpeg -i {quote(str(path))} NEW.wav` makes a sound that `fit` reads"
+        elif path.suffix in (".yaml", ".yml"):
+            remedy = "the recording stands first, a model after it"
         raise UnfitBagError(f"{path}: not a bag; expected {_FORMS}; {remedy}")
     # A file that was compressed as a whole has two suffixes.
     suffixes = {each for file in path.iterdir() for each in file.suffixes}

@@ -16,7 +16,7 @@ from impact_observer import __version__
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io.interfaces import Quality, interface, usual_quality
 from impact_observer.io.typestores import add_definition, new_typestore
-from impact_observer.output_files import check_name, unwritable
+from impact_observer.output_files import check_output, check_outputs
 
 _CHUNK = 2**16
 """Bytes in a chunk, which is what one flipped bit costs."""
@@ -36,18 +36,8 @@ def check_free(path: Path) -> None:
         UsageError: something is there already, its parent is no folder, or the name is too long
             or no UTF-8.
     """
-    check_name(path)
-    for each in (path, path.with_name(bag_file(path))):
-        try:
-            each.lstat()
-        except (FileNotFoundError, NotADirectoryError):
-            continue
-        except OSError as error:
-            raise unwritable(path, error) from None
-        if each == path:
-            raise UsageError(f"{path}: exists already; remove it or choose another name")
-    if not path.absolute().parent.is_dir():
-        raise UsageError(f"{path}: no folder {path.parent}; make it first")
+    check_outputs([(path, ())])
+    check_output(path.with_name(bag_file(path)), ())  # the longest name in the bag
 
 
 @final

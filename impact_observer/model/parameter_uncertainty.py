@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Value, finite, symmetric
+from impact_observer.model.document import LARGEST, Value, finite, symmetric
 from impact_observer.model.schema import UncertaintyKeys
 from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector, frozen
@@ -140,7 +140,7 @@ def _checked_covariance(covariance: Matrix, p: int) -> Matrix:
         ModelError: not finite, not symmetric or not positive semidefinite.
     """
     key = f"{KEY}.covariance"
-    given = finite(key, covariance, (p, p), f"{p} x {p} numbers, one row a name")
+    given = finite(key, covariance, (p, p), f"{p} x {p} numbers, one row a name", LARGEST**2)
     for i in np.flatnonzero(np.diag(given) < 0):
         raise ModelError(f"{key}[{i}][{i}]", f"is {given[i, i]:g}; expected a variance, >= 0")
     deviations = np.sqrt(np.diag(given))

@@ -138,7 +138,7 @@ def declared_deviations(
         if (place := by_path.get(path)) is None:
             kinds = ", ".join(dict.fromkeys(each.name.partition(".")[0] for each in places))
             problem = f"has a deviation, and is none of {kinds}"
-            wanted = f"expected a plain number, and {KEY} for parameters such as stiffness-scale"
+            wanted = f"expected a plain number, and {KEY} for parameters of many numbers"
             raise ModelError(key, f"{problem}; {wanted}")
         if place.name in keys:
             problem = f"has a deviation, and {place.name} has one at {keys[place.name]}"
@@ -168,8 +168,9 @@ def of_use(
         least.append(low)
         if deviation > most:
             key, slope = keys[each.name], slopes[each.name]
+            own = f"{key.removesuffix('.value')}.{_DEVIATION}"
             raise ModelError(
-                f"{KEY}.covariance[{i}][{i}]" if key.startswith(KEY) else f"{key}.deviation",
+                f"{KEY}.covariance[{i}][{i}]" if key.startswith(KEY) else own,
                 f"{deviation * slope:g} found; expected at most {most * slope:g}: find the value"
                 " with identify",
             )

@@ -73,7 +73,8 @@ def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
     """The ``text`` of a model file with changed values; comments and layout stay.
 
     The keys of ``changes`` are paths in the file, such as ``("stops", 0, "limit")``. The index
-    behind the last member of a list appends one. A deviation beside a changed value goes.
+    behind the last member of a list appends one. A deviation beside a changed value goes, and so
+    does a key whose new value is None.
     """
     yaml, document = _round_trip(text)
     for (*path, last), found in changes.items():
@@ -84,6 +85,8 @@ def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
             place.append(value)
             continue
         place[last] = value
+        if value is None:
+            del place[last]
         if last == "value":
             place.pop("deviation", None)
     return _dumped(yaml, document)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from impact_observer.detector import Source
 from impact_observer.detector.peak import RINGING
-from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
+from impact_observer.errors import BagError, DynamicsError, ImpactLawError, UsageError
 from impact_observer.model import System
 from impact_observer.plant import Plant
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
@@ -36,7 +36,7 @@ _LOUD = 0.5
 _USUAL = 0.9
 """Quantile of the ringing after these peaks that counts."""
 _MARGIN = 1.25
-"""Threshold in the ringing after a peak, over the usual ringing."""
+"""Threshold in the ringing after a peak, over the usual ringing; also a gap between heights."""
 _CLEAR = 0.75
 """Time after a peak with nothing but ringing, relative to the shortest usual interval."""
 _PRIOR = 0.5
@@ -155,7 +155,7 @@ def choose_detection(
         expected: the impacts of the model; None if unknown.
 
     Raises:
-        UsageError: no peak exceeds the noise.
+        BagError: no peak exceeds the noise.
     """
     t = (stamps - stamps[0]) / NS_PER_S
     offset = float(np.median(values))
@@ -167,13 +167,17 @@ def choose_detection(
     height = {"up": signal, "down": -signal}.get(source.direction or "both", np.abs(signal))
     top = float(np.max(height))
     floor = max(_NOISE * noise, _SILENT * top)
-    if top <= floor:
-        raise source.wrong(
-            "threshold",
-            f"no peak of {source.topic} exceeds {floor:.3g}, {_NOISE:g} times the noise",
-        )
+    loudest = max(_ABOVE * noise * float(np.sqrt(2 * np.log(t.size))), floor)
     interval = _INTERVAL if expected is None else expected.interval
     dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
+    usual = np.sort(height[_peaks(t, height, noise, dead, 0.0)[1]])
+    usual = usual[usual.size // 2 :]  # those of noise have no gap
+    has_gap = source.threshold is not None or np.any(usual[1:] > _MARGIN * usual[:-1])
+    if top <= (floor if has_gap else loudest):
+        raise BagError(
+            f"{source.contact}: no peak of {source.topic} differs from noise, which may reach"
+            f" {loudest:.3g}; expected impacts, or their threshold in a file for --sources"
+        )
     decay = source.decay
     if decay is None:
         decay = _decay(t, height, dead, interval, floor)
@@ -182,8 +186,7 @@ def choose_detection(
     if threshold is None:
         _, every = _peaks(t, height, floor, dead, decay)
         count = None if expected is None else expected.rate * float(t[-1])
-        loudest = _ABOVE * noise * float(np.sqrt(2 * np.log(t.size)))
-        threshold, doubt = _threshold(height[every], floor, max(loudest, floor), count)
+        threshold, doubt = _threshold(height[every], floor, loudest, count)
         doubts += [f"{source.contact}: {doubt}"] if doubt else []
     begins, tops = _peaks(t, height, threshold, dead, decay)
     is_turned = np.any(signal[begins] * signal[tops] < 0)

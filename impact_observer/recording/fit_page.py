@@ -2,7 +2,6 @@
 """The page of a fit: the files in its folder, and the lines that are printed."""
 
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from impact_observer.draw.reports import figure
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.io import interfaces
+from impact_observer.io.bag_files import SIGNAL_FILES, storage_of
 from impact_observer.io.bag_part import FILE_ZERO, TimeZero, time_zero
 from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
@@ -27,6 +27,7 @@ from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.model.system import refuse_squares, unit_of
+from impact_observer.output_files import check_outputs, temporary_beside
 from impact_observer.recording.before_the_fit import check_times, doubtful_contacts, model_warnings
 from impact_observer.recording.fit_and_smooth import FitTask, FittedRecording, fit_bag
 from impact_observer.recording.impacts_in_recording import RecordedImpacts, Task, read_recording
@@ -91,8 +92,9 @@ def fit_recording(
         UsageError, BagError: the inputs cannot be used, or the folder exists.
         NotLinearError: the model is a robot.
     """
-    if folder.exists():
-        raise UsageError(f"{folder}: exists already; choose another folder")
+    check_outputs([(folder, ())])
+    if recording.suffix.lower() not in SIGNAL_FILES:
+        storage_of(recording)
     given = model_text(model)
     read = parse_model(*given)
     names = read.system.contact_names  # a robot has no system
@@ -100,12 +102,12 @@ def fit_recording(
         raise UsageError(f"{model}: no contact found; expected a stop that sensors notice")
     refuse_squares(read.system, "fit")
     declared = read_fit_sources(sources)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
+    with temporary_beside(folder) as place:
         known = Task(recording, read, declared.sources, declared.form, zero, epoch)
         checked = check_model(read)
         for text in (*model_warnings(checked), *([read.misfit] if read.misfit else [])):
             say(f"warning: {text}")
-        impacts = read_recording(known, Path(place) / "impacts", show)
+        impacts = read_recording(known, place, show)
         with BagReader(impacts.bag) as reader:
             events = events_from(reader, impacts.epoch)
         check_times(checked, events, recording)
@@ -229,7 +231,7 @@ def _numbers(task: FitTask, fit: FittedRecording) -> Iterator[str]:
     found = fit.identification
     if found is None or fit.failure:
         return
-    known = task.model.uncertainty
+    known = task.prior
     given = {} if known is None else dict(zip(known.names, known.deviations.tolist(), strict=True))
     each = zip(found.family.parameters, found.values.tolist(), found.errors.tolist(), strict=True)
     lines = [

@@ -38,8 +38,6 @@ _EVEN = 0.05
 """Largest usual deviation of the intervals between samples of a signal, over their median."""
 _USUAL = 60.0
 """Time for which the impacts of the model are simulated where there is no signal, s."""
-_CONVERTED = (".m4a", ".mp3", ".aac", ".mp4", ".mov", ".wma", ".opus")
-"""Suffixes of sounds and films that another program makes a WAV of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,14 +106,9 @@ def read_recording(
         UsageError, BagError: the recording cannot be read, has no impact, or does not go with the
             model.
     """
-    path, suffix = task.path, task.path.suffix.lower()
+    path = task.path
     show(f"reading {path}")
-    if suffix in _CONVERTED:
-        wav = path.with_suffix(".wav").name
-        raise UsageError(
-            f"{path}: {suffix} found; expected a WAV, as ffmpeg -i {path.name} {wav} makes"
-        )
-    if suffix not in SIGNAL_FILES:
+    if path.suffix.lower() not in SIGNAL_FILES:
         return _from_bag(task, bag)
     if (signal := _signal(task)) is not None:
         return _from_signal(task, signal, bag)

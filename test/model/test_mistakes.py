@@ -84,6 +84,8 @@ between: [table, a], gap: 0.5 | body: b, limit: -2, side: below | stops[1]
 gap: 0.5, | limit: 0.5, | stops[0].limit
 gap: 0.5, | | stops[0].gap
 gap: 0.5, | gap: {value: 0.5, deviation: 60}, | stops[0].gap.deviation
+gap: 0.5, | gap: {value: 0.5, deviation: 1.0e+9}, | stops[0].gap.deviation
+exponent: 0 | exponent: 0, deviation: 60 | stops[0].restitution.deviation
 value: 0.6, | value: 1.2, | stops[0].restitution.value
 speed: 1, | speed: 0, | stops[0].restitution.speed
 speed: 1, | velocity: 1, | stops[0].restitution.velocity

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from signals import Scalar
 
 from impact_observer.detector import Detector, Source
-from impact_observer.errors import UsageError
+from impact_observer.errors import BagError
 from impact_observer.model import read_model
 from impact_observer.recording.detection_choice import (
     ExpectedImpacts,
@@ -116,11 +116,20 @@ def test_what_is_declared_is_kept() -> None:
     )
 
 
-def test_noise_alone_is_an_error_that_names_the_topic() -> None:
-    """No peak exceeds the noise."""
+@pytest.mark.parametrize("digits", [0, 6])
+def test_noise_alone_is_an_error_that_names_the_topic(digits: int) -> None:
+    """No peak is louder than chance has it."""
     stamps, values = ringing([], [])
-    with pytest.raises(UsageError, match="/az"):
-        choose_detection(SENSOR, stamps, np.round(values), EXPECTED)
+    with pytest.raises(BagError, match="/az"):
+        choose_detection(SENSOR, stamps, np.round(values, digits), EXPECTED)
+
+
+def test_hits_above_a_hum_are_found() -> None:
+    """White noise of the size of this hum may be louder than the hits."""
+    stamps, values = ringing(HITS[::2], np.ones(HITS[::2].size))
+    values += 0.2 * np.sin(100 * np.pi * (stamps - START) / 1e9)
+    chosen = choose_detection(SENSOR, stamps, values, ExpectedImpacts(0.04, 9.5))
+    assert detected(chosen.source, stamps, values).size == HITS[::2].size
 
 
 def test_a_model_tells_how_often_its_impacts_come() -> None:

@@ -187,11 +187,14 @@ def test_numbers_that_times_do_not_tell_are_counted(
     assert "2 of these 3 numbers" in capsys.readouterr().out
 
 
-def test_a_known_epoch_keeps_the_phase(run: Run, rig: Path) -> None:
-    """With ``--epoch`` the phase is no number to identify."""
-    recording = typed_times(run, rig).name
-    assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
+def test_a_known_epoch_keeps_the_phase_and_no_start_is_needed(run: Run, rig: Path) -> None:
+    """With ``--epoch`` the phase is no number to identify; a start in the fitted stop goes."""
+    text = MODEL.replace("limit: 0.5", "limit: {value: 0.52, deviation: 0.05}")
+    start = "initial_state: {position: [0, 0.51], velocity: [0, 0]}\n"
+    (rig / "rig.yaml").write_text(text.replace("RESTITUTION", UNKNOWN) + start)
+    assert main(["fit", typed_times(run, rig).name, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
     assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
+    assert read_model(rig / "out" / "fitted.yaml").position is None
 
 
 def test_the_signal_is_shown_before_the_fit_begins(run: Run, rig: Path) -> None:
@@ -320,10 +323,3 @@ def test_what_cannot_be_used_is_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert named in line
     assert not (rig / "out").exists()
-
-
-def test_a_folder_that_exists_is_not_replaced(run: Run, rig: Path) -> None:
-    """Nothing in it is lost."""
-    (rig / "out").mkdir()
-    assert main(["fit", typed_times(run, rig).name, "rig.yaml", "-o", "out"]) == 2
-    assert not [*(rig / "out").iterdir()]

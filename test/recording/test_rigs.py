@@ -81,7 +81,9 @@ def test_a_fitted_model_is_fitted_again(
     capsys.readouterr()
     later = times[:59] if again == "same" else times[59:]
     assert fitted("shaker", first / "out" / "fitted.yaml", later, second) == (0, 1.0)
-    assert ("count twice" in capsys.readouterr().out) == (again == "same")
+    told = capsys.readouterr().out
+    assert ("count twice" in told) == (again == "same")
+    assert re.search(r"phase.*\(given 0\)\n", told), "the deviation is of another epoch"
 
 
 TWO_MASSES = """name: rig
