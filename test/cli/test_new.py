@@ -86,7 +86,7 @@ def test_impacts_of_the_flank_without_a_switch_are_inserted() -> None:
     """Once the motion is found, each impact of the plant there has its instant and speed."""
     assert main(["new", "my_rig", "--from", "gear"]) == 0
     model = read_model("my_rig.yaml")
-    simulated = ["--duration", "3", "--jitter", "1e-5", "--seed", "1", "-o", "bag"]
+    simulated = ["--duration", "3", "--rate", "10", "--jitter", "1e-5", "--seed", "1", "-o", "bag"]
     assert main(["simulate", "my_rig.yaml", *simulated]) == 0
     given = ["--law", "minimum-variance", "--clock-error", "1e-5", "-o", "estimate"]
     assert main(["observe", "bag", *given]) == 0

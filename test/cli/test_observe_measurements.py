@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """simulate and observe with sensors beside the impacts, through bags."""
 
+import io
 import json
 import re
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +45,16 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulated(tmp_path_factory.mktemp("measured"), "plant", "--measurement-rate", "50")
 
 
+@pytest.fixture(scope="module")
+def observed(bag: Path) -> tuple[Path, str]:
+    """What observe makes of this bag with its sensors, and what is printed."""
+    output = bag.parent / "observed"
+    given = [*MINIMUM, "--measurements", str(bag.parent / "rig.yaml"), "-o", str(output)]
+    with redirect_stdout(io.StringIO()) as printed:
+        assert main(["observe", str(bag), *given]) == 0
+    return output, printed.getvalue()
+
+
 def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
     """Sums of coefficients of the true states, noise as declared, stamps late by the delay."""
     sensors = read_measurements(bag.parent / "rig.yaml")
@@ -78,14 +90,13 @@ def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
 
 @pytest.mark.slow
 def test_observe_uses_them_copies_them_and_says_what_became_of_them(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    observed: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The result has verdicts up to 50 Hz, and can be observed again, with equal bits."""
-    sensors, once, twice = str(bag.parent / "rig.yaml"), tmp_path / "once", tmp_path / "twice"
-    for source, output in ((bag, once), (once, twice)):
-        given = ["observe", str(source), *MINIMUM, "--measurements", sensors, "-o", str(output)]
-        assert main(given) == 0
-        text = capsys.readouterr().out
+    (once, said), twice = observed, tmp_path / "twice"
+    given = [*MINIMUM, "--measurements", str(once.parent / "rig.yaml"), "-o", str(twice)]
+    assert main(["observe", str(once), *given]) == 0
+    for text in (said, capsys.readouterr().out):
         assert re.search(r"encoder +151 +\d+ ", text)
         assert "warning" not in text
     with BagReader(once) as one, BagReader(twice) as two:
@@ -198,14 +209,13 @@ def test_a_number_that_is_none_is_left_out(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["open-loop", "geometric"])
 def test_a_law_without_covariance_says_that_it_uses_no_measurements(
-    law: str, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The command prints one warning."""
-    given = ["--law", law, "--measurements", str(bag.parent / "rig.yaml")]
+    given = ["--law", "geometric", "--measurements", str(bag.parent / "rig.yaml")]
     assert main(["observe", str(bag), *given, "-o", str(tmp_path / "out")]) == 0
-    line = f"warning: {law} uses no measurements: encoder, laser, imu, probe left out; --law"
+    line = "warning: geometric uses no measurements: encoder, laser, imu, probe left out; --law"
     assert line in capsys.readouterr().out
 
 
@@ -229,13 +239,14 @@ def test_what_cannot_be_simulated_is_one_line(
 
 
 def test_compare_shows_how_many_samples_were_used(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path,
+    observed: tuple[Path, str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Counts are those of the observer; tables of bags without sensors have no such columns."""
-    output, plain = str(tmp_path / "estimate"), str(tmp_path / "plain")
-    given = [*MINIMUM, "--measurements", str(bag.parent / "rig.yaml")]
-    assert main(["observe", str(bag), *given, "-o", output]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    output, plain = str(observed[0]), str(tmp_path / "plain")
+    lines = observed[1].splitlines()
     (head,) = [k for k, line in enumerate(lines) if line.startswith("sensor ")]
     rows = [line.split() for line in lines[head + 1 : head + 5] if len(line.split()) == 7]
     samples, used = [int(row[1]) for row in rows], [int(row[2]) for row in rows]

@@ -98,7 +98,6 @@ def test_load_on_a_soft_spring_stays_exact_while_the_motion_is_young(stiffness: 
 
 TURN = np.array([[0.6, 0.8], [-0.8, 0.6]])
 STIFF = {
-    "differences": np.diag([1.0, 1e8]),
     "in a chain": np.array([[1.0 + 1e8, -1e8], [-1e8, 1e8]]),
     "turned": TURN @ np.diag([1.0, 1e8]) @ TURN.T,
 }

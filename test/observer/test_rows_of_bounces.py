@@ -20,8 +20,8 @@ ROW = 0.15
 
 
 def stroke(system: System, start: float) -> Run:
-    """The motion from rest at a position of both bodies, m, with samples every 20 ms."""
-    stamps = grid(EPOCH, EPOCH + from_seconds(SECONDS), 50.0)
+    """The motion from rest at a position of both bodies, m, with five samples a second."""
+    stamps = grid(EPOCH, EPOCH + from_seconds(SECONDS), 5.0)
     return simulate(Plant(system, np.full(2, start), np.zeros(2), epoch=EPOCH), stamps)
 
 
