@@ -86,7 +86,7 @@ def test_estimates_from_a_recorded_bag_have_the_expected_error(
     name: str, law: str, tmp_path: Path
 ) -> None:
     """V at the end over V at the start, for every law."""
-    comparison, _ = observed(BAGS / name, law, "--rate 10", tmp_path / "out")
+    comparison, _ = observed(BAGS / name, law, "--rate 5", tmp_path / "out")
     if law == "minimum-variance" or law not in EXPECTED[name]:  # rounding of stamps remains
         assert comparison.ratio is not None
         assert 0 < comparison.ratio <= EXPECTED[name]["minimum-variance"]

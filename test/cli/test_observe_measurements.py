@@ -27,6 +27,7 @@ measurements:
   - {name: imu, topic: /imu, field: linear_acceleration.x, acceleration: {x2: 1}, deviation: 0.3}
   - {name: probe, topic: /probe, field: data, gap: stop, deviation: 0.001}
 """
+ENCODER = "\n".join(RIG.splitlines()[:2])
 MINIMUM = ("--law", "minimum-variance", "--clock-error", "0.001")
 
 
@@ -114,8 +115,7 @@ def test_observe_uses_them_copies_them_and_says_what_became_of_them(
 @pytest.mark.slow
 def test_verdicts_of_fast_sensors_are_not_written(tmp_path: Path) -> None:
     """At 60 Hz there are none; the file of 50 Hz has one for each sample."""
-    short = "measurements:\n" + RIG.splitlines()[1] + "\n"
-    bag = simulated(tmp_path, "plant", "--measurement-rate", "60", sensors=short)
+    bag = simulated(tmp_path, "plant", "--measurement-rate", "60", sensors=ENCODER)
     given = ["--measurements", str(tmp_path / "rig.yaml"), "-o", str(tmp_path / "out")]
     assert main(["observe", str(bag), *given]) == 0
     with BagReader(tmp_path / "out") as reader:
@@ -150,6 +150,13 @@ def test_what_a_bag_does_not_have_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.fixture
+def encoder(tmp_path: Path) -> str:
+    """A file of the encoder alone."""
+    (tmp_path / "encoder.yaml").write_text(ENCODER)
+    return str(tmp_path / "encoder.yaml")
+
+
 def with_nan(source: Path, output: Path) -> Path:
     """A copy of a bag whose encoder has no number in one message."""
     is_due = True
@@ -170,10 +177,10 @@ def with_nan(source: Path, output: Path) -> Path:
 
 @pytest.mark.slow
 def test_one_stamp_that_is_far_off_is_left_out(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, encoder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A sample with such a stamp would make the observer forget all earlier history."""
-    source, sensors = tmp_path / "odd", str(bag.parent / "rig.yaml")
+    source = tmp_path / "odd"
     with BagReader(bag) as reader, BagWriter(source) as writer:
         for topic, info in reader.topics.items():
             writer.declare(topic, type_name=info.type, quality=info.quality)
@@ -186,7 +193,7 @@ def test_one_stamp_that_is_far_off_is_left_out(
             message.header.stamp.sec, odd = 2_000_000_000, True
             writer.write(raw.topic, raw.log_time, message)
     output = str(tmp_path / "out")
-    given = [*MINIMUM, "--measurements", sensors, "-o", output]
+    given = [*MINIMUM, "--measurements", encoder, "-o", output]
     assert main(["observe", str(source), *given]) == 0
     text = capsys.readouterr().out
     part = "1 of 151 messages on /encoder left out (0.66 %)"
@@ -195,12 +202,12 @@ def test_one_stamp_that_is_far_off_is_left_out(
 
 
 def test_a_number_that_is_none_is_left_out(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, encoder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One sample of the encoder is left out; all others are used."""
-    source, sensors = with_nan(bag, tmp_path / "nan"), str(bag.parent / "rig.yaml")
+    source = with_nan(bag, tmp_path / "nan")
     output = str(tmp_path / "out")
-    given = [*MINIMUM, "--measurements", sensors, "-o", output]
+    given = [*MINIMUM, "--measurements", encoder, "-o", output]
     assert main(["observe", str(source), *given]) == 0
     printed = capsys.readouterr().out
     assert re.search(r"encoder +151 +150 +0 +0 +1 ", printed)
@@ -294,8 +301,7 @@ def test_smooth_takes_samples_beside_the_impacts(
 @pytest.mark.slow
 def test_parameters_are_learned_from_samples_too(tmp_path: Path) -> None:
     """A stiffness that is 3 % off, to a thousandth within three seconds of an encoder."""
-    short = "measurements:\n" + RIG.splitlines()[1] + "\n"
-    bag = simulated(tmp_path, "plant", "--jitter", "0.001", sensors=short)
+    bag = simulated(tmp_path, "plant", "--jitter", "0.001", sensors=ENCODER)
     model = tmp_path / "off.yaml"
     text = Path(shared("config/two_mass.yaml")).read_text("utf-8")
     model.write_text(text.replace("[[20, -10], [-10, 10]]", "[[20.6, -10.3], [-10.3, 10.3]]"))

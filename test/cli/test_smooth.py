@@ -170,7 +170,7 @@ def test_a_wrong_sign_of_a_sensor_is_named_beside_the_counts_of_its_samples(
     bag, wrong = tmp_path / "bag", tmp_path / "wrong.yaml"
     text = shared("config/measurements/encoder.yaml").read_text(encoding="utf-8")
     wrong.write_text(text.replace("quantity: position", "quantity: position, position: {x1: -1}"))
-    given = ["--measurements", "encoder", "--measurement-rate", "50", "-o", str(bag)]
+    given = ["--measurements", "encoder", "--measurement-rate", "20", "-o", str(bag)]
     assert main(["simulate", "two_mass", "--duration", "6", "--jitter", "0.0005", *given]) == 0
     for sensor, is_wrong in (("encoder", False), (str(wrong), True)):
         for command in ("smooth", "observe --law minimum-variance"):

@@ -14,7 +14,7 @@ from impact_observer.stamps import from_seconds, grid
 from impact_observer.states import Estimate, Matrix, Stamps
 
 EPOCH = 1_700_000_000 * 10**9
-SECONDS = 30.0
+SECONDS = 15.0
 ROW = 0.15
 """Longest time between two hits of a row, s."""
 
