@@ -121,7 +121,7 @@ def test_the_page_has_the_commands_that_print_a_drop_height(
 @pytest.mark.slow
 def test_the_shape_of_a_beam_follows_from_its_tip(drawn: Callable[..., Any]) -> None:
     """V never rises, and falls by four orders in half a second."""
-    found = drawn("beam", "--seconds", "0.5", RATE=500.0)
+    found = drawn("beam", "--seconds", "0.5")
     assert np.all(np.diff(found.distances) < 1e-9 * found.distances[0])
     assert found.distances[-1] < 1e-4 * found.distances[0]
     assert found.events > 100

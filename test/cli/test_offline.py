@@ -101,7 +101,8 @@ def test_end_of_a_recorded_force_is_one_warning(
     warning = "forcing.sampled"
     for duration, count in (("2", 0), ("8", 1)):
         out = f"{bag}{duration}"
-        assert main(["simulate", str(model), "--duration", duration, "--rate", "5", "-o", out]) == 0
+        given = ["--duration", duration, "--rate", "5", "-o", out]
+        assert main(["simulate", str(model), *given]) == 0
         assert capsys.readouterr().out.count(warning) == count
     law = ("--law", "minimum-variance", "--clock-error", "0")
     observed(Path(f"{bag}8"), "estimate", *law)
