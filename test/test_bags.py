@@ -196,7 +196,7 @@ def test_velocities_after_hits_of_a_robot_are_known(
     assert "a robot" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_page_of_robots_goes_from_a_model_to_a_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -68,7 +68,7 @@ def bouncier(model: System, by: float) -> System:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.long)])
 def test_wrong_stiffness_is_estimated_and_v_falls_below_its_floor(name: str) -> None:
     """Without the parameter, V stays at the floor of a stiffness error of 2 %."""
     model, true = sample(name).system, truth(name)
