@@ -45,7 +45,7 @@ Sample = tuple[int, float]
 
 
 @cache
-def samples(step: float = 1e-3) -> list[Sample]:
+def samples(step: float = 2e-3) -> list[Sample]:
     """From the epoch to the end."""
     times = np.arange(0.0, SECONDS + step, step).tolist()
     return [(EPOCH + round(t * NS_PER_S), motor(t)) for t in times]

@@ -86,7 +86,7 @@ def test_estimates_from_a_recorded_bag_have_the_expected_error(
     name: str, law: str, tmp_path: Path
 ) -> None:
     """V at the end over V at the start, for every law."""
-    comparison, _ = observed(BAGS / name, law, "", tmp_path / "out")
+    comparison, _ = observed(BAGS / name, law, "--rate 5", tmp_path / "out")
     if law == "minimum-variance" or law not in EXPECTED[name]:  # rounding of stamps remains
         assert comparison.ratio is not None
         assert 0 < comparison.ratio <= EXPECTED[name]["minimum-variance"]
@@ -196,7 +196,7 @@ def test_velocities_after_hits_of_a_robot_are_known(
     assert "a robot" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_page_of_robots_goes_from_a_model_to_a_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 
 import re
 import runpy
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,35 @@ def example(name: str) -> dict[str, Any]:
     return runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name=name)
 
 
+@pytest.fixture
+def drawn(
+    in_tmp_path: None,  # noqa: ARG001
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Callable[..., Any]:
+    """Of an example, started as a user does with arguments: what its picture is made of.
+
+    Some of its numbers may be other ones.
+    """
+
+    def start(name: str, *arguments: str, **numbers: float) -> Any:  # noqa: ANN401
+        monkeypatch.setattr("sys.argv", [f"{name}.py", *arguments])
+        code, given = example(name)["main"].__globals__, list[Any]()
+        picture = code["picture"]
+
+        def draw(*found: Any) -> None:  # noqa: ANN401
+            given.extend(found)
+            picture(*found)
+
+        code |= numbers | {"picture": draw}
+        code["main"]()
+        assert capsys.readouterr().out.splitlines()[-1] == f"picture: {name}.png"
+        assert Path(f"{name}.png").stat().st_size > 5000
+        return given[-2]
+
+    return start
+
+
 def test_every_example_is_on_the_page_and_has_its_picture() -> None:
     """A file, a picture, a paragraph."""
     page = (EXAMPLES / "README.md").read_text()
@@ -33,19 +63,21 @@ def test_every_example_is_on_the_page_and_has_its_picture() -> None:
 
 
 @pytest.mark.slow
-def test_a_drill_has_blows_of_two_kinds_and_both_are_estimated() -> None:
+def test_a_drill_has_blows_of_two_kinds_and_both_are_estimated(
+    drawn: Callable[..., Any],
+) -> None:
     """From a sensor that misses some and reports false ones."""
-    found = example("drill")["drill"](1.5)
-    late = found.blow_times > 0.75
+    found = drawn("drill", "--seconds", "1", RATE=1000.0)
+    late = found.blow_times > 0.5
     true, estimated = found.blows[late].T
     assert true.max() > 4 * true.min()
     np.testing.assert_allclose(estimated, true, rtol=0.05)
 
 
 @pytest.mark.slow
-def test_clicks_of_gears_are_of_the_right_flank() -> None:
+def test_clicks_of_gears_are_of_the_right_flank(drawn: Callable[..., Any]) -> None:
     """Of clicks that all name the same one."""
-    found = example("gears")["rattle"](1.0)
+    found = drawn("gears", "--seconds", "1", RATE=400.0)
     true, estimated = found.back[3:].T
     np.testing.assert_array_equal(estimated, true)
     assert 0 < true.sum() < true.size
@@ -53,14 +85,14 @@ def test_clicks_of_gears_are_of_the_right_flank() -> None:
 
 
 @pytest.mark.slow
-def test_a_drop_height_is_that_of_the_closed_form() -> None:
+def test_a_drop_height_is_that_of_the_closed_form(drawn: Callable[..., Any]) -> None:
     """Of clicks at 2 v eps^k / g after each other, read to 0.1 ms."""
     code = example("drop_height")
     height, restitution, gravity = 1.234, 0.82, code["GRAVITY"]
     flights = 2 * np.sqrt(2 * height / gravity) * restitution ** np.arange(1, 8)
     clicks = 1.201 + np.concatenate([[0.0], np.cumsum(flights)])
     assert tuple(clicks.round(4)) == code["CLICKS"]
-    found = code["drop"](code["CLICKS"])
+    found = drawn("drop_height")
     assert found.height == pytest.approx(height, abs=3 * found.height_error)
     assert found.restitution == pytest.approx(restitution, abs=3 * found.restitution_error)
     assert found.height_error < 1e-3
@@ -87,35 +119,34 @@ def test_the_page_has_the_commands_that_print_a_drop_height(
 
 
 @pytest.mark.slow
-def test_the_shape_of_a_beam_follows_from_its_tip() -> None:
+def test_the_shape_of_a_beam_follows_from_its_tip(drawn: Callable[..., Any]) -> None:
     """V never rises, and falls by four orders in half a second."""
-    found = example("beam")["vibrate"](0.5)
+    found = drawn("beam", "--seconds", "0.5")
     assert np.all(np.diff(found.distances) < 1e-9 * found.distances[0])
     assert found.distances[-1] < 1e-4 * found.distances[0]
     assert found.events > 100
 
 
 @pytest.mark.slow
-def test_a_shaker_shows_how_its_clocks_differ() -> None:
+def test_a_shaker_shows_how_its_clocks_differ(drawn: Callable[..., Any]) -> None:
     """A third of a percent of the offset, and 30 um of the part."""
-    code = example("shaker")
-    found = code["shake"](1.5)
-    assert found.offsets[-1] == pytest.approx(code["OFFSET"], abs=3e-5)
+    found = drawn("shaker", "--seconds", "1.5", RATE=400.0)
+    assert found.offsets[-1] == pytest.approx(example("shaker")["OFFSET"], abs=3e-5)
     assert found.error() < 5e-5
 
 
 @pytest.mark.slow
-def test_encoder_and_impacts_know_more_together() -> None:
+def test_encoder_and_impacts_know_more_together(drawn: Callable[..., Any]) -> None:
     """Before the impacts alone determine the state."""
-    errors = example("encoder")["compare"](5.0).typical(2.0, 5.0)
+    errors = drawn("encoder", "--seconds", "6.1").typical(2.0, 5.0)
     assert errors["both"] < 0.3 * min(errors["impacts"], errors["encoder"])
 
 
 @pytest.mark.slow
-def test_velocity_of_an_arm_is_known_through_a_hit() -> None:
+def test_velocity_of_an_arm_is_known_through_a_hit(drawn: Callable[..., Any]) -> None:
     """Ten times better than by differences of its encoders, and within its own deviations."""
     pytest.importorskip("pinocchio", reason="not installed: extra robots")
-    found = example("hammer_arm")["swing"](1.25)
+    found = drawn("hammer_arm", "--seconds", "1.25")
     assert found.hits.size == 1
     assert found.error(found.observed) < found.error(found.differences) / 10
     z = (found.observed - found.truth) / found.deviations
@@ -123,40 +154,10 @@ def test_velocity_of_an_arm_is_known_through_a_hit() -> None:
 
 
 @pytest.mark.slow
-def test_basins_hold_two_motions() -> None:
+def test_basins_hold_two_motions(drawn: Callable[..., Any]) -> None:
     """Both motions are there, and a start has the same one whatever the grid."""
     code = example("basins")
-    found = code["basins"](7, jobs=1)
+    found = drawn("basins", "--starts", "7", "--jobs", "1")
     assert {1.0, 3.0} <= set(np.unique(found))
     assert np.mean((found == 1) | (found == 3)) > 0.9
     assert code["period"]((code["POSITIONS"][0], code["VELOCITIES"][1])) == found[-1, 0]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("in_tmp_path")
-@pytest.mark.parametrize(
-    ("name", "arguments"),
-    [
-        ("basins", ["--starts", "3", "--jobs", "1"]),
-        ("beam", ["--seconds", "0.2"]),
-        ("drill", ["--seconds", "0.5"]),
-        ("drop_height", ["1", "1.8", "2.4", "2.85", "3.1875"]),
-        ("encoder", ["--seconds", "6.1"]),
-        ("gears", ["--seconds", "0.5"]),
-        ("hammer_arm", ["--seconds", "1.2"]),
-        ("shaker", ["--seconds", "0.5"]),
-    ],
-)
-def test_an_example_prints_and_draws(
-    name: str,
-    arguments: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """As a user starts it."""
-    if name == "hammer_arm":
-        pytest.importorskip("pinocchio", reason="not installed: extra robots")
-    monkeypatch.setattr("sys.argv", [f"{name}.py", *arguments])
-    example(name)["main"]()
-    assert capsys.readouterr().out.splitlines()[-1] == f"picture: {name}.png"
-    assert Path(f"{name}.png").stat().st_size > 5000

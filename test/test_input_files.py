@@ -62,7 +62,7 @@ def test_metadata_that_are_nested_without_an_end_are_one_line(
 ) -> None:
     """The library that reads ``metadata.yaml`` would end the process without a word."""
     Path("bag").mkdir()
-    Path("bag/metadata.yaml").write_text("[" * 100_000, encoding="utf-8")
+    Path("bag/metadata.yaml").write_text("[\n" * 100_000, encoding="utf-8")
     assert main(["export", "bag", "-o", "out.csv"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 

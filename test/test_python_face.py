@@ -110,8 +110,9 @@ def test_mypy_finds_the_installed_package_with_its_types_and_nothing_else(tmp_pa
         "reveal_type(make_observer('two_mass'))\n"
         "import launch.demo, benchmarks, docs.tables\n"
     )
+    cache = ["--cache-dir", str(ROOT / ".mypy_cache")]
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--no-color-output", script.name],
+        [sys.executable, "-m", "mypy", "--no-color-output", *cache, script.name],
         cwd=tmp_path,
         env={name: each for name, each in os.environ.items() if name != "PYTHONPATH"},
         capture_output=True,

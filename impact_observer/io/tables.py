@@ -44,7 +44,7 @@ SEPARATORS = {"tab": "\t", "semicolon": ";", "comma": ",", "blank": " "}
 """What separates columns, by name."""
 _NONE = "\x1f"
 """A separator that stands in no table: each row is one cell."""
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d{1,6})?", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d{1,6})?", re.IGNORECASE)
 _WITH_COMMA = re.compile(r"[+-]?\d*,\d+(?:e[+-]?\d{1,6})?", re.IGNORECASE)
 _TO_BE_SPLIT = re.compile(r"[+-]?\.?\d.*[\s;,]")
 _NO_NUMBERS = {"", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "∞"}

@@ -51,10 +51,10 @@ def recorded(
 
 
 def identified(
-    name: str, jitter: float, seed: int, free: tuple[str, ...] = FREE
+    name: str, jitter: float, seed: int, free: tuple[str, ...] = FREE, seconds: float = 60.0
 ) -> Identification:
     """Identify parameters from a minute of a plant that is not the model."""
-    model, events, _ = recorded(name, 60.0, jitter, seed, **WRONG[name])
+    model, events, _ = recorded(name, seconds, jitter, seed, **WRONG[name])
     return identify(parametric_family(model.system, free, model.elements), events)
 
 
@@ -99,7 +99,7 @@ def test_false_and_missing_events_do_not_spoil_parameters(seed: int) -> None:
 
 def test_a_wrong_number_that_is_not_free_is_named_and_covered() -> None:
     """The stiffness is 5 % off: the verdict names a misfit, its size and the cause."""
-    found = identified("two_mass", 1e-5, 0, ("restitution",))
+    found = identified("two_mass", 1e-5, 0, ("restitution",), 30.0)
     assert not found.verdict.fits
     assert found.verdict.model > 1e-3
     (cause,) = [each for each in found.causes if each.fits]
@@ -112,7 +112,7 @@ def test_an_unknown_phase_of_the_drive_is_found() -> None:
     """Whatever it is: searches begin all around."""
     phase = -2.5
     change = {"forcing-phase.1": phase}
-    model, events, _ = recorded("two_mass", 60.0, 1e-5, 3, **change)
+    model, events, _ = recorded("two_mass", 30.0, 1e-5, 3, **change)
     family = parametric_family(model.system, ("forcing-phase",), model.elements)
     found = identify(family, events)
     assert found.verdict.fits

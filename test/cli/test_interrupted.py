@@ -166,7 +166,7 @@ def test_sigterm_ends_a_command_with_ros_in_order(
 def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag that takes an observer some seconds."""
     folder = tmp_path_factory.mktemp("long") / "plant"
-    simulated = ["simulate", "two_mass", "--duration", "20", "--rate", "1000"]
+    simulated = ["simulate", "two_mass", "--duration", "12", "--rate", "1000"]
     assert main([*simulated, "-o", str(folder)]) == 0
     return folder
 

@@ -86,14 +86,14 @@ def test_impacts_of_the_flank_without_a_switch_are_inserted() -> None:
     """Once the motion is found, each impact of the plant there has its instant and speed."""
     assert main(["new", "my_rig", "--from", "gear"]) == 0
     model = read_model("my_rig.yaml")
-    simulated = ["--duration", "3", "--jitter", "1e-5", "--seed", "1", "-o", "bag"]
+    simulated = ["--duration", "2", "--rate", "10", "--jitter", "1e-5", "--seed", "1", "-o", "bag"]
     assert main(["simulate", "my_rig.yaml", *simulated]) == 0
     given = ["--law", "minimum-variance", "--clock-error", "1e-5", "-o", "estimate"]
     assert main(["observe", "bag", *given]) == 0
     with BagReader(Path("estimate")) as reader:
         made = [each for each in reader.impact_estimates("/observer/impacts") if not each.sequence]
         epoch = next(reader.events()).epoch
-    plant = run(model.system, *model.initial_state(), seconds=2.9)
+    plant = run(model.system, *model.initial_state(), seconds=1.9)
     truth = true_impacts(model.system, plant.switchings)
     later = {stamp - EPOCH: truth[stamp, name] for stamp, name in truth if name == "back"}
     assert {each.contact for each in made} == {"back"}

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """simulate and observe with sensors beside the impacts, through bags."""
 
+import io
 import json
 import re
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,7 @@ measurements:
   - {name: imu, topic: /imu, field: linear_acceleration.x, acceleration: {x2: 1}, deviation: 0.3}
   - {name: probe, topic: /probe, field: data, gap: stop, deviation: 0.001}
 """
+ENCODER = "\n".join(RIG.splitlines()[:2])
 MINIMUM = ("--law", "minimum-variance", "--clock-error", "0.001")
 
 
@@ -41,6 +44,16 @@ def simulated(folder: Path, name: str, *arguments: str, sensors: str = RIG) -> P
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag with three seconds at 50 Hz."""
     return simulated(tmp_path_factory.mktemp("measured"), "plant", "--measurement-rate", "50")
+
+
+@pytest.fixture(scope="module")
+def observed(bag: Path) -> tuple[Path, str]:
+    """What observe makes of this bag with its sensors, and what is printed."""
+    output = bag.parent / "observed"
+    given = [*MINIMUM, "--measurements", str(bag.parent / "rig.yaml"), "-o", str(output)]
+    with redirect_stdout(io.StringIO()) as printed:
+        assert main(["observe", str(bag), *given]) == 0
+    return output, printed.getvalue()
 
 
 def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
@@ -78,14 +91,13 @@ def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
 
 @pytest.mark.slow
 def test_observe_uses_them_copies_them_and_says_what_became_of_them(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    observed: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The result has verdicts up to 50 Hz, and can be observed again, with equal bits."""
-    sensors, once, twice = str(bag.parent / "rig.yaml"), tmp_path / "once", tmp_path / "twice"
-    for source, output in ((bag, once), (once, twice)):
-        given = ["observe", str(source), *MINIMUM, "--measurements", sensors, "-o", str(output)]
-        assert main(given) == 0
-        text = capsys.readouterr().out
+    (once, said), twice = observed, tmp_path / "twice"
+    given = [*MINIMUM, "--measurements", str(once.parent / "rig.yaml"), "-o", str(twice)]
+    assert main(["observe", str(once), *given]) == 0
+    for text in (said, capsys.readouterr().out):
         assert re.search(r"encoder +151 +\d+ ", text)
         assert "warning" not in text
     with BagReader(once) as one, BagReader(twice) as two:
@@ -103,8 +115,7 @@ def test_observe_uses_them_copies_them_and_says_what_became_of_them(
 @pytest.mark.slow
 def test_verdicts_of_fast_sensors_are_not_written(tmp_path: Path) -> None:
     """At 60 Hz there are none; the file of 50 Hz has one for each sample."""
-    short = "measurements:\n" + RIG.splitlines()[1] + "\n"
-    bag = simulated(tmp_path, "plant", "--measurement-rate", "60", sensors=short)
+    bag = simulated(tmp_path, "plant", "--measurement-rate", "60", sensors=ENCODER)
     given = ["--measurements", str(tmp_path / "rig.yaml"), "-o", str(tmp_path / "out")]
     assert main(["observe", str(bag), *given]) == 0
     with BagReader(tmp_path / "out") as reader:
@@ -139,6 +150,13 @@ def test_what_a_bag_does_not_have_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.fixture
+def encoder(tmp_path: Path) -> str:
+    """A file of the encoder alone."""
+    (tmp_path / "encoder.yaml").write_text(ENCODER)
+    return str(tmp_path / "encoder.yaml")
+
+
 def with_nan(source: Path, output: Path) -> Path:
     """A copy of a bag whose encoder has no number in one message."""
     is_due = True
@@ -159,10 +177,10 @@ def with_nan(source: Path, output: Path) -> Path:
 
 @pytest.mark.slow
 def test_one_stamp_that_is_far_off_is_left_out(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, encoder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A sample with such a stamp would make the observer forget all earlier history."""
-    source, sensors = tmp_path / "odd", str(bag.parent / "rig.yaml")
+    source = tmp_path / "odd"
     with BagReader(bag) as reader, BagWriter(source) as writer:
         for topic, info in reader.topics.items():
             writer.declare(topic, type_name=info.type, quality=info.quality)
@@ -175,7 +193,7 @@ def test_one_stamp_that_is_far_off_is_left_out(
             message.header.stamp.sec, odd = 2_000_000_000, True
             writer.write(raw.topic, raw.log_time, message)
     output = str(tmp_path / "out")
-    given = [*MINIMUM, "--measurements", sensors, "-o", output]
+    given = [*MINIMUM, "--measurements", encoder, "-o", output]
     assert main(["observe", str(source), *given]) == 0
     text = capsys.readouterr().out
     part = "1 of 151 messages on /encoder left out (0.66 %)"
@@ -184,12 +202,12 @@ def test_one_stamp_that_is_far_off_is_left_out(
 
 
 def test_a_number_that_is_none_is_left_out(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, encoder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One sample of the encoder is left out; all others are used."""
-    source, sensors = with_nan(bag, tmp_path / "nan"), str(bag.parent / "rig.yaml")
+    source = with_nan(bag, tmp_path / "nan")
     output = str(tmp_path / "out")
-    given = [*MINIMUM, "--measurements", sensors, "-o", output]
+    given = [*MINIMUM, "--measurements", encoder, "-o", output]
     assert main(["observe", str(source), *given]) == 0
     printed = capsys.readouterr().out
     assert re.search(r"encoder +151 +150 +0 +0 +1 ", printed)
@@ -198,14 +216,13 @@ def test_a_number_that_is_none_is_left_out(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["open-loop", "geometric"])
 def test_a_law_without_covariance_says_that_it_uses_no_measurements(
-    law: str, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The command prints one warning."""
-    given = ["--law", law, "--measurements", str(bag.parent / "rig.yaml")]
+    given = ["--law", "geometric", "--measurements", str(bag.parent / "rig.yaml")]
     assert main(["observe", str(bag), *given, "-o", str(tmp_path / "out")]) == 0
-    line = f"warning: {law} uses no measurements: encoder, laser, imu, probe left out; --law"
+    line = "warning: geometric uses no measurements: encoder, laser, imu, probe left out; --law"
     assert line in capsys.readouterr().out
 
 
@@ -229,13 +246,14 @@ def test_what_cannot_be_simulated_is_one_line(
 
 
 def test_compare_shows_how_many_samples_were_used(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path,
+    observed: tuple[Path, str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Counts are those of the observer; tables of bags without sensors have no such columns."""
-    output, plain = str(tmp_path / "estimate"), str(tmp_path / "plain")
-    given = [*MINIMUM, "--measurements", str(bag.parent / "rig.yaml")]
-    assert main(["observe", str(bag), *given, "-o", output]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    output, plain = str(observed[0]), str(tmp_path / "plain")
+    lines = observed[1].splitlines()
     (head,) = [k for k, line in enumerate(lines) if line.startswith("sensor ")]
     rows = [line.split() for line in lines[head + 1 : head + 5] if len(line.split()) == 7]
     samples, used = [int(row[1]) for row in rows], [int(row[2]) for row in rows]
@@ -283,8 +301,7 @@ def test_smooth_takes_samples_beside_the_impacts(
 @pytest.mark.slow
 def test_parameters_are_learned_from_samples_too(tmp_path: Path) -> None:
     """A stiffness that is 3 % off, to a thousandth within three seconds of an encoder."""
-    short = "measurements:\n" + RIG.splitlines()[1] + "\n"
-    bag = simulated(tmp_path, "plant", "--jitter", "0.001", sensors=short)
+    bag = simulated(tmp_path, "plant", "--jitter", "0.001", sensors=ENCODER)
     model = tmp_path / "off.yaml"
     text = Path(shared("config/two_mass.yaml")).read_text("utf-8")
     model.write_text(text.replace("[[20, -10], [-10, 10]]", "[[20.6, -10.3], [-10.3, 10.3]]"))

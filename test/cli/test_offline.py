@@ -101,7 +101,8 @@ def test_end_of_a_recorded_force_is_one_warning(
     warning = "forcing.sampled"
     for duration, count in (("2", 0), ("8", 1)):
         out = f"{bag}{duration}"
-        assert main(["simulate", str(model), "--duration", duration, "-o", out]) == 0
+        given = ["--duration", duration, "--rate", "5", "-o", out]
+        assert main(["simulate", str(model), *given]) == 0
         assert capsys.readouterr().out.count(warning) == count
     law = ("--law", "minimum-variance", "--clock-error", "0")
     observed(Path(f"{bag}8"), "estimate", *law)
@@ -123,7 +124,9 @@ def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path
 @pytest.mark.parametrize("law", BUILT_IN)
 def test_observe_writes_the_estimates_of_the_observer(run_bag: Path, law: str) -> None:
     """Offline estimates are those of the same object fed by hand, bit for bit."""
-    output = observed(run_bag, f"out_{law}", "--law", law, "--initial-state", "random:3")
+    output = observed(
+        run_bag, f"out_{law}", "--law", law, "--initial-state", "random:3", "--rate", "10"
+    )
     system = read_model("two_mass").system
     observer = Observer(
         system, law_named(law)(system), *initial_state("random:3", system), history=1e6
@@ -176,7 +179,9 @@ def test_compare_orders_the_laws_and_draws_them(
 ) -> None:
     """Open loop is worst; V never rises at an impact with the other laws; the picture is a PNG."""
     bags = {
-        law: observed(run_bag, f"cmp_{law}", "--law", law, "--initial-state", "random:1")
+        law: observed(
+            run_bag, f"cmp_{law}", "--law", law, "--initial-state", "random:1", "--rate", "20"
+        )
         for law in ("open-loop", "kinematic", "geometric")
     }
     picture = run_bag.parent / "v.png"
@@ -348,7 +353,7 @@ def test_a_misfit_stands_in_the_bag_as_in_the_diagnostics_of_a_node(
     text = shared("config/two_mass.yaml").read_text(encoding="utf-8")
     (tmp_path / "wrong.yaml").write_text(text.replace("[0, 4]", "[0, 5]"))
     bag, out, exact = (str(tmp_path / name) for name in ("bag", "out", "exact"))
-    assert main(["simulate", "two_mass", "--duration", "50", "--rate", "10", "-o", bag]) == 0
+    assert main(["simulate", "two_mass", "--duration", "50", "--rate", "2", "-o", bag]) == 0
     law = ("--law", "minimum-variance", "--ensemble", "1")
     assert main(["observe", bag, *law, "-o", exact]) == 0
     capsys.readouterr()
@@ -373,13 +378,13 @@ def test_a_model_by_which_many_impacts_are_rejected_is_doubted(
 ) -> None:
     """The frequency of the forcing is in Hz instead of rad/s."""
     bag, model = str(tmp_path / "bag"), tmp_path / "hz.yaml"
-    assert main(["simulate", "two_mass", "--duration", "30", "-o", bag]) == 0
+    assert main(["simulate", "two_mass", "--duration", "30", "--rate", "1", "-o", bag]) == 0
     text = shared("config/two_mass.yaml").read_text()
     model.write_text(text.replace("frequency: 2.5", "frequency: 0.398"))
     said = dict[str, str]()
     for name in ("two_mass", str(model)):
         output = str(tmp_path / f"observed_{len(said)}")
-        options = ("--law", "minimum-variance", "--rate", "10", "-o", output)
+        options = ("--law", "minimum-variance", "-o", output)
         assert main(["observe", bag, "--model", name, *options]) == 0
         said[name] = capsys.readouterr().out
     assert "impacts rejected" in said[str(model)]

@@ -50,15 +50,14 @@ def test_smoothed_bag_is_compared_drawn_and_exported_as_any_estimate(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("restitution", [0.65, 0.6])
 def test_a_wrong_restitution_is_warned_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], restitution: float
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The restitution is 0.7: 22 impacts prove other values wrong."""
+    """The restitution is 0.7: 22 impacts prove 0.65 wrong."""
     model = tmp_path / "wrong.yaml"
     right = shared("config/two_mass.yaml").read_text(encoding="utf-8")
     assert right.count("restitution: 0.7") == 1
-    model.write_text(right.replace("restitution: 0.7", f"restitution: {restitution}"), "utf-8")
+    model.write_text(right.replace("restitution: 0.7", "restitution: 0.65"), "utf-8")
     given = ["--model", str(model), "--rate", "1", "-o", str(tmp_path / "smoothed")]
     assert main(["smooth", str(shared("bags/jitter")), *given]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -66,17 +65,16 @@ def test_a_wrong_restitution_is_warned_of(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["observe --law minimum-variance"])
 def test_a_learned_value_that_contradicts_the_declared_one_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The restitution is 0.7, and declared as 0.6 +- 0.02: impacts of two_mass say so."""
     model = tmp_path / "wrong.yaml"
     right = shared("config/two_mass.yaml").read_text(encoding="utf-8")
     model.write_text(right.replace("restitution: 0.7", "restitution: 0.6"), "utf-8")
     given = ["--estimate-parameters", "restitution=0.02", "--rate", "1", "--model", str(model)]
-    bag = str(shared("bags/jitter"))
-    assert main([*command.split(), bag, *given, "-o", str(tmp_path / "estimated")]) == 0
+    words = ["observe", str(shared("bags/jitter")), "--law", "minimum-variance", *given]
+    assert main([*words, "-o", str(tmp_path / "estimated")]) == 0
     lines = capsys.readouterr().out.splitlines()
     (warning,) = [line for line in lines if "contradict" in line]
     assert re.search(r"restitution\.stop 0\.[67]\d+ \+- \S+ .* 0\.600? \+- 0\.02", warning)
@@ -172,7 +170,7 @@ def test_a_wrong_sign_of_a_sensor_is_named_beside_the_counts_of_its_samples(
     bag, wrong = tmp_path / "bag", tmp_path / "wrong.yaml"
     text = shared("config/measurements/encoder.yaml").read_text(encoding="utf-8")
     wrong.write_text(text.replace("quantity: position", "quantity: position, position: {x1: -1}"))
-    given = ["--measurements", "encoder", "--measurement-rate", "50", "-o", str(bag)]
+    given = ["--measurements", "encoder", "--measurement-rate", "20", "-o", str(bag)]
     assert main(["simulate", "two_mass", "--duration", "6", "--jitter", "0.0005", *given]) == 0
     for sensor, is_wrong in (("encoder", False), (str(wrong), True)):
         for command in ("smooth", "observe --law minimum-variance"):

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 PERIOD = 2 * np.pi
 SECONDS = np.array([1e-6, 0.3, PERIOD, 10 * PERIOD, 100 * PERIOD])
-DISTANCES = [sign * 10.0**-k for k in (1, 2, 4, 6, 8, 10, 12, 14) for sign in (1, -1)]
+DISTANCES = [sign * 10.0**-k for k in (1, 4, 8, 14) for sign in (1, -1)]
 WAVE = Harmonic(0.7, [1.0, 0.0], [0.0, 1.0])
 
 
@@ -98,7 +98,6 @@ def test_load_on_a_soft_spring_stays_exact_while_the_motion_is_young(stiffness: 
 
 TURN = np.array([[0.6, 0.8], [-0.8, 0.6]])
 STIFF = {
-    "differences": np.diag([1.0, 1e8]),
     "in a chain": np.array([[1.0 + 1e8, -1e8], [-1e8, 1e8]]),
     "turned": TURN @ np.diag([1.0, 1e8]) @ TURN.T,
 }

@@ -97,10 +97,10 @@ def test_exact_stamps_tell_the_side() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.long)])
 def test_samples_about_jittered_stamps_are_within_three_deviations(name: str) -> None:
-    """Nine samples of ten of each component, as observed and smoothed, of six runs."""
+    """Nine samples of ten of each component, as observed and smoothed, of four runs."""
     model, within = sample(name), list[tuple[Array, Array]]()
     x, last = np.concatenate(model.initial_state()), EPOCH + 20 * NS_PER_S
-    for seed in range(6):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         run = simulate(Plant(model.system, *np.split(x, 2), epoch=EPOCH), np.array([last]))
         sensor = SensorModel(jitter=JITTER)

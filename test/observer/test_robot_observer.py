@@ -61,12 +61,12 @@ def test_velocities_are_known_through_a_hit_with_a_model_that_is_wrong() -> None
     assert not last.misfit
 
 
-def exactly_modelled(deviation: Vector | None) -> tuple[Model, Recording]:
+def exactly_modelled(deviation: Vector | None, seconds: float = 2.5) -> tuple[Model, Recording]:
     """hammer_arm as it is, with white torques of a declared ``deviation``, at 200 Hz."""
     model = read_model("hammer_arm")
     assert model.robot is not None
     model = replace(model, robot=replace(model.robot, torque_deviation=deviation))
-    truth = Truth.of_plant(Robot(model), model.initial_state(), 200.0, 2.5)
+    truth = Truth.of_plant(Robot(model), model.initial_state(), 200.0, seconds)
     return model, truth.recorded(seed=4)
 
 
@@ -89,7 +89,7 @@ def test_deviations_cover_what_happens_between_efforts_without_a_declared_one() 
 
 def test_deviations_between_efforts_do_not_depend_on_when_efforts_come() -> None:
     """All before the first sample, or each with the encoders of its stamp: the same estimates."""
-    model, recording = exactly_modelled(None)
+    model, recording = exactly_modelled(None, 1.3)
     before = filtered(observer_of(model, recording), recording)
     observer = make_observer(model, DECLARED, measurements=encoders(model))
     samples, events = iter(recording.samples), list(recording.events)

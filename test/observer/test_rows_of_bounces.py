@@ -14,14 +14,12 @@ from impact_observer.stamps import from_seconds, grid
 from impact_observer.states import Estimate, Matrix, Stamps
 
 EPOCH = 1_700_000_000 * 10**9
-SECONDS = 30.0
-ROW = 0.15
-"""Longest time between two hits of a row, s."""
+SECONDS = 15.0
 
 
 def stroke(system: System, start: float) -> Run:
-    """The motion from rest at a position of both bodies, m, with samples every 20 ms."""
-    stamps = grid(EPOCH, EPOCH + from_seconds(SECONDS), 50.0)
+    """The motion from rest at a position of both bodies, m, with five samples a second."""
+    stamps = grid(EPOCH, EPOCH + from_seconds(SECONDS), 5.0)
     return simulate(Plant(system, np.full(2, start), np.zeros(2), epoch=EPOCH), stamps)
 
 
@@ -36,18 +34,6 @@ def numbered(hits: list[tuple[int, Kind]]) -> list[ImpactEvent]:
 def switched(run: Run) -> list[tuple[int, Kind]]:
     """Stamp and kind of each switch of a plant."""
     return [(s.instant.stamp, each.kind) for s in run.switchings for each in s.switches]
-
-
-def debounced(hits: list[tuple[int, Kind]]) -> list[tuple[int, Kind]]:
-    """The first edge of each row of hits, as CLOSE if the row ends at rest, and each OPEN."""
-    found, last = list[tuple[int, Kind]](), -from_seconds(1.0)
-    for stamp, kind in hits:
-        if kind is Kind.OPEN or stamp - last > from_seconds(ROW):
-            found.append((stamp, kind))
-        elif kind is Kind.CLOSE:
-            found[-1] = found[-1][0], Kind.CLOSE
-        last = stamp
-    return found
 
 
 def observed(

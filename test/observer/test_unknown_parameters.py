@@ -28,7 +28,7 @@ def truth(name: str, seconds: float = 60.0) -> Run:
     """A run of a sample."""
     model = sample(name)
     q, u = model.initial_state()
-    return run(model.system, q, u, seconds=seconds, rate=10.0)
+    return run(model.system, q, u, seconds=seconds, rate=2.0)
 
 
 def watching(
@@ -68,7 +68,7 @@ def bouncier(model: System, by: float) -> System:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.long)])
 def test_wrong_stiffness_is_estimated_and_v_falls_below_its_floor(name: str) -> None:
     """Without the parameter, V stays at the floor of a stiffness error of 2 %."""
     model, true = sample(name).system, truth(name)
@@ -96,7 +96,7 @@ def test_restitution_is_estimated_whether_it_is_wrong_or_right(
         true.events,
     )
     V = distances(watcher, model, true)
-    assert np.median(V[-50:]) < 1e-15 * V[0]
+    assert np.median(V[-10:]) < 1e-15 * V[0]
     ((_, value, deviation),) = watcher.estimate(int(true.stamps[-1])).parameters
     assert abs(value - 0.7) < 4 * deviation < 1e-8
     assert watcher.estimate(int(true.stamps[-1])).synchronized
