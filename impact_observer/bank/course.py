@@ -17,7 +17,6 @@ from impact_observer.bank.impact_bank import ImpactBank
 from impact_observer.bank.merge import merged
 from impact_observer.bank.predict import Leg
 from impact_observer.events import Contacts
-from impact_observer.square_roots import triangular
 from impact_observer.states import Matrix, Vector
 
 _EQUAL = 16
@@ -119,7 +118,7 @@ class Course:
         return self.flights.moved(point.rows, leg)
 
     def _estimate(self, s: float) -> tuple[Vector, Matrix]:
-        """Mean, shape (N,), and root of the covariance, (N, N), after ``s`` seconds."""
+        """Mean, shape (N,), and root of the covariance, (N, any), after ``s`` seconds."""
         point = self._at(s)
         ago = s - point.start
         flights, d = self.flights, self.filter.d
@@ -136,7 +135,7 @@ class Course:
             noise = np.zeros((len(x), d))
             flown = length.clip(0.0), point.held, self.bank.intensity
             noise[:d] = flights.mechanism.noise([point.t], start[None, :d], *flown)[0]
-            root = triangular(np.hstack([root, point.error * noise]))
+            root = np.hstack([root, point.error * noise])
         return x, root
 
     def states(self, s: Vector) -> Matrix:

@@ -58,6 +58,7 @@ class Exponential:
             terms.append(terms[-1] @ A * (self.step / k))
         self.terms = frozen(terms)
         self.between = lru_cache(_KEPT)(self.matrix)
+        self._doubled = lru_cache(_KEPT)(self._doubled_of)
 
     @cached_property
     def whole(self) -> Matrix:
@@ -92,14 +93,20 @@ class Exponential:
         # by a product that does not depend on the other times, to the bit
         found = np.asarray(np.einsum("kt,tij->kij", within, self.terms))
         for sign in (1, -1):
-            left = np.maximum(sign * turns, 0).astype(np.int64)
-            power = self.whole if sign > 0 or not left.any() else np.linalg.inv(self.whole)
+            left, k = np.maximum(sign * turns, 0).astype(np.int64), 0
             while left.any():
                 odd = left % 2 == 1
-                found[odd] = found[odd] @ power
-                left //= 2
-                power = power @ power
+                if odd.any():
+                    found[odd] = found[odd] @ self._doubled(sign, k)
+                left, k = left // 2, k + 1
         return found
+
+    def _doubled_of(self, sign: int, k: int) -> Matrix:
+        """``exp(A sign 2^k step)``."""
+        if k:
+            half = self._doubled(sign, k - 1)
+            return frozen(half @ half)
+        return self.whole if sign > 0 else frozen(np.linalg.inv(self.whole))
 
 
 def _short(number: float) -> float:

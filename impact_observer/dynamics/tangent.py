@@ -13,7 +13,7 @@ of the harmonics by a frequency, and ``D`` the derivative of the rates.
 All maps take arrays of states, shape (..., 2n).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -196,17 +196,17 @@ class Tangent:
         Returns:
             Shape (K, 2n, 2n).
         """
-        terms, Phi, whole = self._noisy(held, intensity)
+        terms, doubled = self._noisy(held, intensity)
         step = self.phase(held).flow.exponential.step
         turns = np.trunc(s / step)
         within = np.vander(s / step - turns, TERMS, increasing=True)
         Q = np.asarray(np.einsum("kt,tij->kij", within, terms))
-        left = turns.astype(np.int64)
+        left, k = turns.astype(np.int64), 0
         while left.any():
-            odd = left % 2 == 1
-            Q[odd] = Phi @ Q[odd] @ Phi.T + whole
-            whole, Phi = Phi @ whole @ Phi.T + whole, Phi @ Phi
-            left //= 2
+            Phi, whole = doubled(k)
+            if (odd := left % 2 == 1).any():
+                Q[odd] = Phi @ Q[odd] @ Phi.T + whole
+            left, k = left // 2, k + 1
         values, vectors = np.linalg.eigh(Q)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
@@ -333,11 +333,11 @@ class Tangent:
 
     def _noise_of(
         self, held: Contacts, intensity: tuple[float, ...]
-    ) -> tuple[Array, Matrix, Matrix]:
+    ) -> tuple[Array, Callable[[int], tuple[Matrix, Matrix]]]:
         """Return the covariance Q of white accelerations, ``Q' = A Q + Q A' + B B'``.
 
         Its Taylor terms in a step have shape (TERMS, 2n, 2n); then the transition and the
-        covariance of a whole step, (2n, 2n).
+        covariance of ``2^k`` steps, (2n, 2n) each, as a function of ``k``.
         """
         phase, n, d = self.phase(held), self.n, 2 * self.n
         exponential = phase.flow.exponential
@@ -348,7 +348,15 @@ class Tangent:
         for k in range(2, TERMS):
             grown = rates @ terms[k - 1] / k
             terms[k] = grown + grown.T
-        return terms, exponential.whole[:d, :d], terms.sum(axis=0)
+
+        @lru_cache(KEPT)
+        def doubled(k: int) -> tuple[Matrix, Matrix]:
+            if not k:
+                return exponential.whole[:d, :d], terms.sum(axis=0)
+            Phi, whole = doubled(k - 1)
+            return Phi @ Phi, Phi @ whole @ Phi.T + whole
+
+        return terms, doubled
 
     def _stops_of(self, pressed: Contacts) -> tuple[Matrix, dict[int, Matrix]]:
         """Return ``X`` of ``u+ = u- - X gamma-`` (n, k), and ``-dX`` by parameters of masses."""
