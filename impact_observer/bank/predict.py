@@ -59,8 +59,7 @@ class Leg(NamedTuple):
 
     def times(self, s: Vector) -> list[Elapsed]:
         """Instants ``s`` seconds after ``t``, shape (H,); one for all where these are equal."""
-        apart = s[:1] if len(s) and s.min() == s.max() else s
-        return [self.t + each for each in apart.tolist()]
+        return [self.t + each for each in _once(s).tolist()]
 
 
 class Reports(NamedTuple):
@@ -252,9 +251,8 @@ class Flights:
     def flown(self, rows: Hypotheses, leg: Leg, start: Vector, s: Vector) -> Hypotheses:
         """Hypotheses after flights of ``s`` seconds from ``start`` on, without impacts, (H,)."""
         d = self.d
-        times, length = leg.times(start), s
-        if len(times) == 1 and len(s) and s.min() == s.max():
-            length = s[:1]
+        times = leg.times(start)
+        length = _once(s) if len(times) == 1 else s
         images = self.images(times, rows.x, length, leg.held)
         x, S, B = rows.x.copy(), rows.S.copy(), rows.B
         x[:, :d] = images.x
@@ -458,3 +456,8 @@ class Flights:
         B[own] = still.Phi @ B[own]
         bit[own] |= 1 << contact
         return rows._replace(x=whole, S=S, B=B, held=bit)
+
+
+def _once(s: Vector) -> Vector:
+    """The first of equal values, shape (1,); else all of them."""
+    return s[:1] if s.size and s.min() == s.max() else s

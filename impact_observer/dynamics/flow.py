@@ -42,7 +42,6 @@ from impact_observer.model.live_signals import LiveSamples
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Matrix, Vector
 
-_ONE = np.ones(1)
 _NOTHING = 1e-15
 """Acceleration that the loads leave and that is rounding, relative to the terms of its sum."""
 _MOST_WINDOWS = 1_000_000
@@ -108,26 +107,12 @@ class Drive:
         self.F[:, -1] = forcing.constant
         self.fastest = forcing.fastest
 
-    def at(self, t: Elapsed) -> Vector:
-        """``y`` at ``t``, after a sample or switch at this instant, shape (e,).
+    def at_each(self, t: Sequence[Elapsed]) -> Matrix:
+        """``y`` at K instants, after a sample or switch at one of them, shape (K, e).
 
         Raises:
-            DynamicsError: ``t`` lies before the first sample.
+            DynamicsError: one of ``t`` lies before the first sample.
         """
-        waves = _ONE
-        if self._angles.frequency.size:
-            angle = self._angles.at_stamps(np.array([t.ns]))[0]
-            angle = angle + self._angles.frequency * t.remainder
-            waves = np.concatenate([np.cos(angle), np.sin(angle), _ONE])
-        if self._squares is not None:
-            waves = np.concatenate([waves[:-1], self._squares.signs(t), _ONE])
-        if self._samples is None:
-            return waves
-        jets = self._samples.derivatives(np.array([float(t)]))[: self._shape[0], 0]
-        return np.concatenate([jets[:, self._active].ravel(), waves])
-
-    def at_each(self, t: Sequence[Elapsed]) -> Matrix:
-        """``at`` of K instants, shape (K, e)."""
         ns = np.array([each.ns for each in t], dtype=np.int64)
         rest = np.array([each.remainder for each in t])
         angle = self._angles.at_stamps(ns) + np.outer(rest, self._angles.frequency)
@@ -137,7 +122,7 @@ class Drive:
         if self._samples is not None:
             instants = np.array([float(each) for each in t])
             jets = self._samples.derivatives(instants)[: self._shape[0], :, self._active]
-            parts.insert(0, np.hstack([*jets]))
+            parts.insert(0, jets.swapaxes(0, 1).reshape(len(t), -1))
         return np.hstack(parts)
 
     def check(self, t: Elapsed) -> None:
@@ -383,7 +368,7 @@ class PhaseMotion(Motion):
         start = self._ends[number - 1] if number else 0.0
         now = self._start + start
         z = self._starts[number].copy()
-        z[2 * flow.n :] = drive.at(now)
+        z[2 * flow.n :] = drive.at_each([now])[0]
         flow.restore(z, self._gaps)
         knots = drive.knots(now, count * step)
         if not knots.size:
@@ -398,7 +383,7 @@ class PhaseMotion(Motion):
                 z = flow.moved(z, length)
                 at = knot if length < step else at + step
                 if at >= knot:
-                    z[2 * flow.n :] = drive.at(now + at)
+                    z[2 * flow.n :] = drive.at_each([now + at])[0]
                 times_.append(at)
                 states.append(z)
         starts, end = start + np.array(times_[:-1]), start + times_[-1]

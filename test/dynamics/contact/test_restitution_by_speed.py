@@ -16,7 +16,6 @@ from systems import (
     observer,
     run,
     sample,
-    switchings,
     system,
     systems,
     vectors,
@@ -32,12 +31,7 @@ from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.rebounds.power_law import PowerLaw
 from impact_observer.model.yaml_text import edited, load_yaml
-from impact_observer.observer import ReplicaLaw
-from impact_observer.observer.belief import Belief
-from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.laws.geometric import Geometric
-from impact_observer.observer.laws.kinematic import Kinematic
-from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -105,35 +99,6 @@ def test_several_contacts_have_complementary_impulses_by_their_own_speeds(
     assert np.all(impulses >= 0)
     assert np.all(xi >= -size)
     assert float(np.max(np.abs(impulses * xi))) <= size * (1 + float(np.max(impulses)))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", [Kinematic, Geometric, Unilateral], ids=lambda law: law.name)
-@examples(15)
-@given(st.data())
-def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.DataObject) -> None:
-    """With one contact, under any switching; each replica rebounds by its own speed."""
-    model = with_curve(data.draw(systems(contacts=(1, 1))), data.draw(curves()))
-    replica, t = law(model), 0.0
-    closed: tuple[int, ...] = ()
-    states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
-
-    def distance() -> float:
-        q, u = np.split(states[0] - states[1], 2)
-        return float(lyapunov.distance(model, q, u))
-
-    last = distance()
-    size = 1e-9 * (1 + last)
-    for wait, hit, stay in data.draw(switchings(model.m)):
-        states = [replica.motion(t, x, closed).state(wait) for x in states]
-        t += wait
-        before = distance()
-        assert before <= last + size
-        stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
-        change, closed = ContactChange(t, closed, hit, stays), stays
-        states = list(replica.correct(change, Belief.of(np.array(states))).replicas)
-        last = distance()
-        assert last <= before + size
 
 
 def test_rebound_heights_of_a_ball_follow_the_law_until_it_rests() -> None:
