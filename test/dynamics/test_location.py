@@ -197,6 +197,15 @@ def test_nothing_closes_beyond_the_horizon() -> None:
     assert_closing(found, 1.0, 0)
 
 
+def test_a_dip_before_the_start_in_the_same_step_does_not_count() -> None:
+    """``x = cos(t - 0.15)`` is beyond the stop for t in (0.05, 0.25), and a period later."""
+    model = system(1, 0, 1, contacts=[([-1], np.cos(0.1), 0.5)])
+    phase, x = phase_of(model), np.array([np.cos(0.15), np.sin(0.15)])
+    gaps, motion = watch(model, phase, [0]), phase.start(0.0, x)
+    assert_closing(first_crossing(gaps, motion, 10.0), 0.05, 0)
+    assert_closing(first_crossing(gaps, motion, 10.0, 0.3), 0.05 + 2 * np.pi, 0)
+
+
 def test_contact_that_just_separated_is_not_found_again() -> None:
     """A gap that rounding leaves below zero opens without a second impact."""
     model = sample("bouncing_ball").system

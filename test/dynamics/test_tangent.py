@@ -134,11 +134,11 @@ def test_flights_through_square_waves_are_those_of_the_phase() -> None:
     system = parse_model(_SQUARE, "square").system
     family = parametric_family(system, ("stiffness-scale",))
     tangent, x = Tangent(family), _states(1, 1)[0]
-    maps = tangent.flights([0.2], np.array([3.0]), ())
-    expected = Phases(system).phase().start(0.2, x).state(3.0)
-    np.testing.assert_allclose(maps.of(x)[0], expected, rtol=1e-11)
+    s = np.array([0.1, 0.5, 3.0])  # before a switch, beyond one, beyond many
+    maps = tangent.flights([0.2], s, ())
+    expected = Phases(system).phase().start(0.2, x).states(s)
+    np.testing.assert_allclose(maps.of(x), expected, rtol=1e-11)
     more, less = (
-        Tangent(family, np.array([1 + e])).flights([0.2], np.array([3.0]), ()).of(x)[0]
-        for e in (1e-5, -1e-5)
+        Tangent(family, np.array([1 + e])).flights([0.2], s, ()).of(x) for e in (1e-5, -1e-5)
     )
-    np.testing.assert_allclose(maps.Gamma(x)[0, :, 0], (more - less) / 2e-5, rtol=1e-6)
+    np.testing.assert_allclose(maps.Gamma(x)[..., 0], (more - less) / 2e-5, rtol=1e-6)
