@@ -77,10 +77,17 @@ def report(found: Identification) -> Iterator[ReportLine]:
     yield from remarks[:_REMARKS]
 
 
+def too_few(found: Identification) -> str:
+    """That too few stamps were fitted to judge by; empty where there are enough."""
+    fit, unknowns = found.fit, found.start.size + found.family.size
+    if fit.problem.samples or fit.residuals.size >= unknowns + _SPARE:
+        return ""
+    stamps = counted(fit.residuals.size, "stamp")
+    return f"{stamps} are few for {unknowns} unknowns, the start among them"
+
+
 def _warnings(found: Identification) -> Iterator[ReportLine]:
     """Yield why numbers may be wrong."""
-    fit = found.fit
-    unknowns = found.start.size + found.family.size
     if found.undetermined:
         yield ReportLine("warning", f"Not determined: {listed(found.undetermined)}.")
     if found.bounded:
@@ -90,11 +97,8 @@ def _warnings(found: Identification) -> Iterator[ReportLine]:
     if inside := found.family.near(found.values).penetrated(found.start[: found.family.system.n]):
         contact = found.run.system.contact_names[inside[0]]
         yield ReportLine("warning", f"The start is inside the stop {contact!r}.")
-    if not fit.problem.samples and fit.residuals.size < unknowns + _SPARE:
-        stamps = counted(fit.residuals.size, "stamp")
-        yield ReportLine(
-            "warning", f"{stamps} are few for {unknowns} unknowns, the start among them."
-        )
+    if few := too_few(found):
+        yield ReportLine("warning", f"{few}.")
 
 
 def _notes(found: Identification) -> Iterator[ReportLine]:

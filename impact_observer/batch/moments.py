@@ -70,7 +70,7 @@ class Moments:
             DynamicsError: there are none.
         """
         if not each:
-            raise DynamicsError("no motion of the model has any of these impacts")
+            raise DynamicsError("no motion of the model has any of these impacts (times in s)")
         self.start, self.each = start, tuple(each)
         self.starts = (start, *(one.t for one in self.each[:-1]))
         flown = [one.t - t for one, t in zip(self.each, self.starts, strict=True)]

@@ -411,7 +411,7 @@ def _settled(
             sample_inflation=of_samples,
             is_first=is_first,
         )
-        if not np.isfinite(found.log_density):
+        if not (np.isfinite(found.log_density) and found.density.is_finite):
             break
         fit = found
         is_late = is_late or number >= _LATE

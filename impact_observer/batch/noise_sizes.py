@@ -63,13 +63,21 @@ class NoiseDensity:
         self._blocks = [*_blocks(prior, steps, way)]
         self._rest = way.log_density - sum(self._of(each, sizes) for each in self._blocks)
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether the motion of the pass has not left all bounds."""
+        return bool(np.isfinite(self._rest))
+
     def log_density(self, sizes: NoiseSizes) -> float:
         """Logarithm of the density of all that is measured."""
         return self._rest + sum(self._of(each, sizes) for each in self._blocks)
 
     @staticmethod
     def _of(block: _Block, sizes: NoiseSizes) -> float:
-        V = np.tensordot([1.0, *np.square(sizes)], block.F, 1)
+        with np.errstate(invalid="ignore"):  # of a motion that grows without bounds
+            V = np.tensordot([1.0, *np.square(sizes)], block.F, 1)
+        if not np.isfinite(V).all():
+            return -np.inf
         root, failed = lapack.dpotrf(V, lower=True, overwrite_a=True)
         if failed:
             return -np.inf

@@ -235,7 +235,7 @@ class _Reader:
             data = file.read()
         is_wide = data[:2] in {b"\xff\xfe", b"\xfe\xff"}
         if not is_wide and (_NO_TEXT.search(data[:4096]) or data[:1] == b"\0"):
-            remedy = "save it as CSV UTF-8; a sound (WAV) is for impact-observer detect"
+            remedy = "save it as CSV UTF-8; a sound has the suffix .wav"
             raise UsageError(f"{path}: is no text; {remedy}")
         try:
             decoded = data.decode("utf-16" if is_wide else "utf-8-sig")
@@ -296,7 +296,7 @@ class _Reader:
         if not best.alike:
             problem = f"{self.path}: holds no row of numbers; expected {expected}"
             if sample:
-                problem += f"; line {sample[-1]} is {shown(lines[-1])} (--separator, --decimal)"
+                problem += f"; line {sample[-1]} is {shown(lines[-1])} (separator, decimal)"
             raise UsageError(problem)
         self.reading, self.first = best, sample[best.first()]
         above = self.above(self.first)
@@ -304,7 +304,7 @@ class _Reader:
         if best.mark == "," and is_plain and (not above or "," not in self.lines[above - 1]):
             row = shown(self.lines[self.first - 1])
             problem = f"{row} is two columns, or one with a decimal comma"
-            self.wrong(self.first, f"{problem}; expected --separator comma or --decimal comma")
+            self.wrong(self.first, f"{problem}; expected `separator` or `decimal` to be comma")
 
     def find_names(self) -> None:
         """Find the header: the last line above the rows that names a time or has as many cells.
@@ -497,11 +497,11 @@ class _Reader:
         k = int(np.argmin(steps))
         before, after = times[: k + 1], times[k + 1 :]
         is_apart = min(len(before), len(after)) > 1 and after.max() < before.min()
-        remedy = "--sort puts the rows in order"
+        remedy = "`sort` puts the rows in order"
         if self.is_clock:
             remedy = "times of day need a date where they pass midnight"
         elif is_apart and -2 * steps[k] > np.ptp(times):
-            remedy = "--sort would swap the rows before and after the step; mend the times"
+            remedy = "`sort` would swap the rows before and after the step; mend the times"
             if self.words.startswith("times as dates"):
                 remedy = "dates need a zone where summer time ends"
         elif self.form.sort:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_observer.batch.fit_report import numbers_told
+from impact_observer.batch.fit_report import numbers_told, too_few
 from impact_observer.check.model_check import check_model
 from impact_observer.compare.bag_export import impact_rows
 from impact_observer.compare.table_files import write_table
 from impact_observer.draw.pictures import save
-from impact_observer.draw.reports import figure
+from impact_observer.draw.reports import counted, figure
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.io import interfaces
@@ -210,7 +210,7 @@ def _lines(
 def _verdict(task: FitTask, fit: FittedRecording, hits: Sequence[ImpactEstimate]) -> str:
     """Return the line that says whether the model fits, and how many impacts count."""
     count = {ruling: sum(each.ruling is ruling for each in hits) for ruling in Ruling}
-    used = f"{count[Ruling.APPLIED]} impacts used"
+    used = f"{counted(count[Ruling.APPLIED], 'impact')} used"
     used += f", {count[Ruling.REJECTED]} rejected" if count[Ruling.REJECTED] else ""
     used += f", {count[Ruling.INSERTED]} missed ones inserted" if count[Ruling.INSERTED] else ""
     found = fit.identification
@@ -271,11 +271,11 @@ def _doubts(fit: FittedRecording) -> Iterator[str]:
     """Return what makes the numbers or the motion doubtful, the worst first."""
     found = fit.identification
     if found is not None and not fit.failure:
-        yield from found.verdict.reasons
+        yield from filter(None, [too_few(found), *found.verdict.reasons])
     for cause in [] if found is None else [each for each in found.causes if each.fits][:1]:
         yield (
-            f"with another {cause.name}, {cause.value:.4g}, the model fits: give this number a"
-            " deviation in the model file"
+            f"with {cause.name} {cause.value:.4g} instead of {cause.given:.4g} the model fits: if"
+            " this may be, give the number a deviation in the model file"
         )
     for run in fit.smoothing.runs:
         if run.misfit and (found is None or fit.fits):

@@ -297,9 +297,10 @@ def _found(
 def _only(path: Path, names: Mapping[str, object]) -> str:
     """Return the only name of a column or a topic."""
     if len(names) != 1:
+        given = f"sources: [{{contact: NAME, topic: {next(iter(names), 'TOPIC')}}}]"
         raise UsageError(
-            f"{path}: {', '.join(names) or 'nothing'} found; name the sensor in a file:"
-            " --sources FILE"
+            f"{path}: {', '.join(names) or 'nothing'} found; name the sensors in a file for"
+            f" --sources, such as {given}"
         )
     return next(iter(names))
 

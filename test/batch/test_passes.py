@@ -121,3 +121,13 @@ def test_an_exact_measurement_leaves_no_variance_along_its_row() -> None:
     found = backward(prior, forward(prior, steps, NoiseSizes(1.0)))
     assert found.nodes.mean[1][0] == pytest.approx(-2.0)
     np.testing.assert_allclose(found.nodes.root[1][0], 0.0, atol=1e-12)
+
+
+def test_a_motion_that_grows_without_bounds_is_not_finite() -> None:
+    """Its errors of the model overflow, though the pass has none and is finite."""
+    prior, steps = chain(np.random.default_rng(2))
+    grown, sizes = [step._replace(noise=1e200 * step.noise) for step in steps], NoiseSizes(0.3)
+    for each, is_finite in ((steps, True), (grown, False)):
+        way = forward(prior, each, sizes)
+        assert np.isfinite(way.log_density)
+        assert NoiseDensity(prior, each, way, sizes).is_finite == is_finite

@@ -113,7 +113,7 @@ def test_time_zero_has_the_chosen_stamp(tmp_path: Path) -> None:
 def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without the option unsorted rows are an error; ignored columns are named."""
     text = "time,contact,peak,note\n2.5,stop,1,a\n0.5,stop,2,b\n"
-    assert "--sort" in refused(tmp_path, text, capsys)
+    assert "`sort`" in refused(tmp_path, text, capsys)
     events = imported(tmp_path, text, "--sort")
     assert [event.stamp for event in events] == [1_500_000_000, 3_500_000_000]
     printed = capsys.readouterr().out

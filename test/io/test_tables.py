@@ -317,8 +317,8 @@ def test_frames_over_their_rate_are_exact(
 @pytest.mark.parametrize(
     ("text", "found", "option", "form"),
     [
-        ("0,3537\n0,8241\n", "'0,3537'", "--decimal comma", TableForm(decimal="comma")),
-        ("0,3537\n0,8241\n", "'0,3537'", "--separator comma", TableForm(separator="comma")),
+        ("0,3537\n0,8241\n", "'0,3537'", "`decimal`", TableForm(decimal="comma")),
+        ("0,3537\n0,8241\n", "'0,3537'", "`separator`", TableForm(separator="comma")),
         (
             "time,time_ms,a\n1,2,3\n",
             "time, time_ms",
@@ -340,7 +340,7 @@ def test_frames_over_their_rate_are_exact(
         ("time_min,a\n7,1\n", "'min'", "--time-unit", TableForm(time_unit="min")),
         ("Time [UTC],a\n7,1\n", "'UTC'", "--time-unit", TableForm(time_unit="s")),
         ("time,a\n1700000000000,1\n", "1700000000000", "--time-unit", TableForm(time_unit="ms")),
-        ("time,a\n2.5,1\n0.5,2\n2.6,1\n", "2 s", "--sort", TableForm(sort=True)),
+        ("time,a\n2.5,1\n0.5,2\n2.6,1\n", "2 s", "`sort`", TableForm(sort=True)),
     ],
 )
 def test_where_two_readings_are_possible_the_option_is_named(
