@@ -199,8 +199,7 @@ def choose_detection(
         decay=_rounded(decay),
         instant=instant,
     )
-    _, others = _peaks(t, height, floor, dead, decay)
-    others = np.setdiff1d(others, tops)
+    others = np.setdiff1d(_peaks(t, height, floor, dead, 0.0)[1], tops)
     refused = others[np.argsort(-height[others])][: _SHOWN * tops.size]
     return ChosenSource(chosen, stamps[refused], tuple(doubts))
 

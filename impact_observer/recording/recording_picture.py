@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The picture of a fitted recording: signal, motion and the energy of each hit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from impact_observer.detector import Source
+from impact_observer.detector.peak import RINGING
 from impact_observer.detector.sensors import SignalTrace
 from impact_observer.draw.pictures import BAND, BandCurve, draw_bands, extremes
 from impact_observer.events import ImpactEstimate, Ruling
@@ -18,6 +20,10 @@ from impact_observer.states import Matrix, Stamps, Vector
 
 _COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
 """Colours of coordinates and contacts (Okabe and Ito)."""
+_LAGS = np.linspace(0.0, 4.0, 17)
+"""Times after an impact at which the threshold above the ringing is drawn, over its decay."""
+_THRESHOLD: Mapping[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": "--"}
+"""How thresholds are drawn."""
 _DETAIL = 8
 """Impacts in the part that is drawn larger."""
 
@@ -115,6 +121,9 @@ def _finish(
         for axes, signal in zip(column, signals, strict=False):
             _draw_signal(axes, signal, zero)
         column[-1].set_xlabel("time [s]")
+    for axes, signal in zip(grid[:, 1], signals, strict=False):
+        if signal.source.decay and signal.trace.impacts:
+            _draw_ringing(axes, signal, zero)
     names = [f"{signal.source.contact}: {signal.source.topic}" for signal in signals]
     for axes, label in zip(grid[:, 0], [*names, *labels], strict=True):
         axes.set_ylabel(label)
@@ -130,13 +139,24 @@ def _draw_signal(axes: Axes, drawn: PlottedSignal, zero: int) -> None:
     kept = extremes(signal)
     axes.plot(_seconds(stamps[kept], zero), signal[kept], color="0.55", linewidth=0.5)
     if source.threshold is not None:
-        axes.axhline(source.threshold, color="black", linewidth=0.8, linestyle="--")
+        axes.axhline(source.threshold, **_THRESHOLD)
     for at, colour, label in (
         (drawn.refused, "0.7", "refused"),
         (np.array(trace.impacts, dtype=np.int64), _COLOURS[0], "impacts"),
     ):
         heights = np.interp(at, stamps, signal) if stamps.size else np.zeros(at.size)
         axes.plot(_seconds(at, zero), heights, "v", color=colour, markersize=4, label=label)
+
+
+def _draw_ringing(axes: Axes, drawn: PlottedSignal, zero: int) -> None:
+    """Draw the threshold above the ringing after each impact."""
+    source, trace = drawn.source, drawn.trace
+    tops, gap = np.array(trace.impacts, dtype=np.int64), np.nan
+    heights = np.interp(tops, np.array(trace.stamps, dtype=np.int64), trace.signal)
+    ringing = RINGING * heights[:, None] * np.append(np.exp(-_LAGS), gap)
+    t = _seconds(tops, zero)[:, None] + source.number("decay") * np.append(_LAGS, gap)
+    threshold = np.hypot(source.number("threshold"), ringing)
+    axes.plot(t.ravel(), threshold.ravel(), **_THRESHOLD)
 
 
 def _draw_motion(axes: Axes, motion: PlottedMotion, zero: int) -> None:
