@@ -100,7 +100,10 @@ def test_estimate_does_not_depend_on_the_ensemble(law: str) -> None:
 
 @pytest.mark.slow
 def test_convergence_is_the_largest_distance_of_two_replicas() -> None:
-    """Of every pair; of very many replicas an upper bound of it, less than four times as much."""
+    """Of every pair; of very many replicas an upper bound of it, less than four times as much.
+
+    The energy beside it is that of the estimate.
+    """
     for count in (2, 10, 400):
         watcher = observer(
             THREE_MASS.system, "geometric", random_start(2), epoch=EPOCH, ensemble=count
@@ -110,6 +113,8 @@ def test_convergence_is_the_largest_distance_of_two_replicas() -> None:
         timeline = watcher.timeline
         assert timeline is not None
         replicas = timeline.entries[-1].belief.replicas
+        energy = float(lyapunov.distance(THREE_MASS.system, *np.split(replicas[0], 2)))
+        assert timeline.entries[-1].synchronization.energy == pytest.approx(energy, rel=1e-12)
         pairs = replicas[:, None] - replicas
         largest = float(np.max(lyapunov.distance(THREE_MASS.system, *np.split(pairs, 2, axis=-1))))
         found = watcher.estimate(TRUTH.events[2].stamp + 1000).convergence
