@@ -74,7 +74,7 @@ class NoiseDensity:
 
     @staticmethod
     def _of(block: _Block, sizes: NoiseSizes) -> float:
-        with np.errstate(invalid="ignore"):  # of a motion that grows without bounds
+        with np.errstate(invalid="ignore"):
             V = np.tensordot([1.0, *np.square(sizes)], block.F, 1)
         if not np.isfinite(V).all():
             return -np.inf
@@ -197,5 +197,6 @@ def _block(root: Matrix, steps: Sequence[LinearStep], way: Forward, first: int, 
             own[:used] /= update.spread
             E[:, :used] -= np.outer(update.gain, own[:used])
             nu.append(update.innovation)
-    F = [seen[:, kinds == kind] @ seen[:, kinds == kind].T for kind in range(4)]
+    with np.errstate(over="ignore", invalid="ignore"):  # of a motion that grows without bounds
+        F = [seen[:, kinds == kind] @ seen[:, kinds == kind].T for kind in range(4)]
     return _Block(np.array(nu), np.array(F))
