@@ -215,9 +215,8 @@ class ImpactBank:
         """The bank with its replica at its own instant, whose motion since then has a size."""
         s, flights = bank.ago, self.flights(bank.constants)
         start, replicas = bank.t + -s, np.tile(bank.replica, (2, 1))
-        middle, replica = flights.mechanism.flown(
-            [start] * 2, replicas, np.array([s / 2, s]), bank.closed
-        ).x
+        lengths = np.array([s / 2, s])
+        middle, replica = flights.mechanism.flown([start], replicas, lengths, bank.closed).x
         bank = bank._replace(replica=replica, ago=0.0)
         return self._sized(bank, (middle**2 + replica**2) / 2, s)
 
@@ -406,7 +405,7 @@ class ImpactBank:
                 rows = decided(rows, (event, t), kind, branches.z[own].tolist(), other)
                 if not event.closed and len(hit) == 1:
                     brief = self.numbers.bounce / self.rate
-                    rows = flights.settled(rows, i, [t] * rows.size, held, brief)
+                    rows = flights.settled(rows, i, [t], held, brief)
                 parts.append(rows)
         return Hypotheses.joined(parts)
 

@@ -54,19 +54,21 @@ class _Block(NamedTuple):
 
 
 class NoiseDensity:
-    """The density of all that is measured as a function of the sizes, near those of a pass."""
+    """The density of all that is measured as a function of the sizes, near those of a pass.
+
+    Attributes:
+        is_finite: whether the motion of the pass has not left all bounds.
+    """
 
     def __init__(
         self, prior: Gaussian, steps: Sequence[LinearStep], way: Forward, sizes: NoiseSizes
     ) -> None:
         """Take a pass with ``sizes``."""
         self._blocks = [*_blocks(prior, steps, way)]
-        self._rest = way.log_density - sum(self._of(each, sizes) for each in self._blocks)
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether the motion of the pass has not left all bounds."""
-        return bool(np.isfinite(self._rest))
+        is_bounded = all(np.isfinite(each.F).all() for each in self._blocks)
+        of_blocks = sum(self._of(each, sizes) for each in self._blocks) if is_bounded else np.inf
+        self._rest = way.log_density - of_blocks
+        self.is_finite = bool(np.isfinite(self._rest))
 
     def log_density(self, sizes: NoiseSizes) -> float:
         """Logarithm of the density of all that is measured."""
@@ -74,10 +76,7 @@ class NoiseDensity:
 
     @staticmethod
     def _of(block: _Block, sizes: NoiseSizes) -> float:
-        with np.errstate(invalid="ignore"):
-            V = np.tensordot([1.0, *np.square(sizes)], block.F, 1)
-        if not np.isfinite(V).all():
-            return -np.inf
+        V = np.tensordot([1.0, *np.square(sizes)], block.F, 1)
         root, failed = lapack.dpotrf(V, lower=True, overwrite_a=True)
         if failed:
             return -np.inf

@@ -40,6 +40,7 @@ class Exponential:
         step: length of a step, s.
         steps: number of steps of a window.
         between: ``matrix``, remembered for the times of steps between samples.
+        doubled: ``exp(A sign 2^k step)`` of a sign and k, shape (N, N), remembered.
         terms: ``A^k step^k / k!``, shape (TERMS, N, N).
     """
 
@@ -58,7 +59,7 @@ class Exponential:
             terms.append(terms[-1] @ A * (self.step / k))
         self.terms = frozen(terms)
         self.between = lru_cache(_KEPT)(self.matrix)
-        self._doubled = lru_cache(_KEPT)(self._doubled_of)
+        self.doubled = lru_cache(_KEPT)(self._doubled_of)
 
     @cached_property
     def whole(self) -> Matrix:
@@ -97,14 +98,13 @@ class Exponential:
             while left.any():
                 odd = left % 2 == 1
                 if odd.any():
-                    found[odd] = found[odd] @ self._doubled(sign, k)
+                    found[odd] = found[odd] @ self.doubled(sign, k)
                 left, k = left // 2, k + 1
         return found
 
     def _doubled_of(self, sign: int, k: int) -> Matrix:
-        """``exp(A sign 2^k step)``."""
         if k:
-            half = self._doubled(sign, k - 1)
+            half = self.doubled(sign, k - 1)
             return frozen(half @ half)
         return self.whole if sign > 0 else frozen(np.linalg.inv(self.whole))
 

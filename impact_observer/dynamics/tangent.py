@@ -197,15 +197,15 @@ class Tangent:
             Shape (K, 2n, 2n).
         """
         terms, doubled = self._noisy(held, intensity)
-        step = self.phase(held).flow.exponential.step
-        turns = np.trunc(s / step)
-        within = np.vander(s / step - turns, TERMS, increasing=True)
+        exponential, d = self.phase(held).flow.exponential, 2 * self.n
+        turns = np.trunc(s / exponential.step)
+        within = np.vander(s / exponential.step - turns, TERMS, increasing=True)
         Q = np.asarray(np.einsum("kt,tij->kij", within, terms))
         left, k = turns.astype(np.int64), 0
         while left.any():
-            Phi, whole = doubled(k)
             if (odd := left % 2 == 1).any():
-                Q[odd] = Phi @ Q[odd] @ Phi.T + whole
+                Phi = exponential.doubled(1, k)[:d, :d]
+                Q[odd] = Phi @ Q[odd] @ Phi.T + doubled(k)
             left, k = left // 2, k + 1
         values, vectors = np.linalg.eigh(Q)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
@@ -333,11 +333,11 @@ class Tangent:
 
     def _noise_of(
         self, held: Contacts, intensity: tuple[float, ...]
-    ) -> tuple[Array, Callable[[int], tuple[Matrix, Matrix]]]:
+    ) -> tuple[Array, Callable[[int], Matrix]]:
         """Return the covariance Q of white accelerations, ``Q' = A Q + Q A' + B B'``.
 
-        Its Taylor terms in a step have shape (TERMS, 2n, 2n); then the transition and the
-        covariance of ``2^k`` steps, (2n, 2n) each, as a function of ``k``.
+        Its Taylor terms in a step have shape (TERMS, 2n, 2n); then that of ``2^k`` steps, shape
+        (2n, 2n), as a function of ``k``.
         """
         phase, n, d = self.phase(held), self.n, 2 * self.n
         exponential = phase.flow.exponential
@@ -350,11 +350,11 @@ class Tangent:
             terms[k] = grown + grown.T
 
         @lru_cache(KEPT)
-        def doubled(k: int) -> tuple[Matrix, Matrix]:
+        def doubled(k: int) -> Matrix:
             if not k:
-                return exponential.whole[:d, :d], terms.sum(axis=0)
-            Phi, whole = doubled(k - 1)
-            return Phi @ Phi, Phi @ whole @ Phi.T + whole
+                return np.asarray(terms.sum(axis=0))
+            Phi, half = exponential.doubled(1, k - 1)[:d, :d], doubled(k - 1)
+            return np.asarray(Phi @ half @ Phi.T + half)
 
         return terms, doubled
 

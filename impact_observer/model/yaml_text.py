@@ -84,9 +84,10 @@ def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
         if isinstance(place, list) and last == len(place):
             place.append(value)
             continue
-        place[last] = value
         if value is None:
-            del place[last]
+            place.pop(last, None)
+            continue
+        place[last] = value
         if last == "value":
             place.pop("deviation", None)
     return _dumped(yaml, document)

@@ -36,7 +36,9 @@ _LOUD = 0.5
 _USUAL = 0.9
 """Quantile of the ringing after these peaks that counts."""
 _MARGIN = 1.25
-"""Threshold in the ringing after a peak, over the usual ringing; also a gap between heights."""
+"""Threshold in the ringing after a peak, over the usual ringing."""
+_GAP = 1.25
+"""Least ratio of heights of peaks that follow each other by size, which noise has not."""
 _CLEAR = 0.75
 """Time after a peak with nothing but ringing, relative to the shortest usual interval."""
 _PRIOR = 0.5
@@ -172,7 +174,7 @@ def choose_detection(
     dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
     usual = np.sort(height[_peaks(t, height, noise, dead, 0.0)[1]])
     usual = usual[usual.size // 2 :]  # those of noise have no gap
-    has_gap = source.threshold is not None or np.any(usual[1:] > _MARGIN * usual[:-1])
+    has_gap = source.threshold is not None or np.any(usual[1:] > _GAP * usual[:-1])
     if top <= (floor if has_gap else loudest):
         raise BagError(
             f"{source.contact}: no peak of {source.topic} differs from noise, which may reach"

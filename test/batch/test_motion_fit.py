@@ -53,7 +53,7 @@ def recorded(
 def identified(
     name: str, jitter: float, seed: int, free: tuple[str, ...] = FREE, seconds: float = 60.0
 ) -> Identification:
-    """Identify parameters from a minute of a plant that is not the model."""
+    """Identify parameters from a recording of a plant that is not the model."""
     model, events, _ = recorded(name, seconds, jitter, seed, **WRONG[name])
     return identify(parametric_family(model.system, free, model.elements), events)
 

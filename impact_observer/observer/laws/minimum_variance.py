@@ -242,7 +242,7 @@ class MinimumVariance(Law):
         best = bank.rows.take([bank.rows.best])
         late = prior.late if after is None else bank.late
         t = elapsed(change.t) + -late
-        if after is None:
+        if after is None:  # that of the event stays the one that is kept
             rows = filter_.predicted(prior, t - prior.t, change.hit).rows
         else:
             rows = filter_.before(prior, t, change.hit).rows
