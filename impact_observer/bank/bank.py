@@ -2,6 +2,7 @@
 """Hypotheses as arrays, one row each, and the bank of them."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,27 @@ TRUE, SPURIOUS, MISSED, OTHER, RESTART = range(1, 6)
 _ONLY = np.zeros(1, dtype=np.intp)
 
 
-class Missed(NamedTuple):
+class ImpactState(NamedTuple):
+    """What a hypothesis knows of an impact at its own instant, before the jump.
+
+    Attributes:
+        contacts: those that hit.
+        held: contacts that are closed before.
+        x: the state, shape (N,).
+        root: of the covariance of the speeds of all contacts and the p parameters of the model,
+            shape (m + p, any).
+        scatter: relative error of the impulse.
+    """
+
+    contacts: Contacts
+    held: Contacts
+    x: Vector
+    root: Matrix
+    scatter: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Missed:
     """An impact that was predicted and not reported.
 
     Attributes:
@@ -29,12 +50,14 @@ class Missed(NamedTuple):
         t: when, s since the epoch.
         depth: penetration that the estimate would reach without it, in standard deviations.
         is_dead: whether the sensor could not report it.
+        state: of the hypothesis then.
     """
 
     contact: int
     t: Elapsed
     depth: float
     is_dead: bool
+    state: ImpactState
 
 
 class Hypotheses(NamedTuple):

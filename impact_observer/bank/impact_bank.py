@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from impact_observer.bank.balance import balance_of
+from impact_observer.bank.balance import balance_of, reported_impact
 from impact_observer.bank.bank import (
     OTHER,
     RESTART,
@@ -18,6 +18,7 @@ from impact_observer.bank.bank import (
     TRUE,
     Bank,
     Hypotheses,
+    ImpactState,
     bits,
     contacts_of,
     mixture,
@@ -351,18 +352,13 @@ class ImpactBank:
         rows = rows._replace(logw=rows.logw - np.logaddexp.reduce(rows.logw))
         return self._recentred(bank._replace(rows=rows)), found
 
-    def balance(
-        self, row: Hypotheses, hit: Hit, least: Vector, constants: Vector, *, inserted: bool
-    ) -> ImpactBalance:
-        """The balance of an impact, of one hypothesis at its stamp; see ``balance_of``.
+    def reported(self, row: Hypotheses, hit: Hit, constants: Vector) -> tuple[ImpactState, float]:
+        """The state at a reported impact, of one hypothesis; see ``reported_impact``."""
+        return reported_impact(row, hit, self.flights(constants), self._considered)
 
-        An ``inserted`` impact has no stamp, so that its instant has only the prior that the
-        state gives.
-        """
-        flights = self.flights(constants)
-        if inserted:
-            flights = flights.without_stamps()
-        return balance_of(row, hit, flights, self._considered, least)
+    def balance(self, state: ImpactState, constants: Vector, least: Vector) -> ImpactBalance:
+        """The balance of an impact; see ``balance_of``."""
+        return balance_of(state, self.flights(constants).mechanism, least)
 
     def _is_in_error(self, rows: Hypotheses) -> bool:
         """Whether the model is almost surely in error, which nothing declares."""

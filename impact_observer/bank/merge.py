@@ -2,6 +2,7 @@
 """Few hypotheses of many: those that hardly differ are merged, the likeliest are kept."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.bank.bank import Hypotheses
 from impact_observer.bank.ladders import Ladders, Numbers
@@ -22,40 +23,53 @@ def merged(rows: Hypotheses, ladders: Ladders, numbers: Numbers, scan: int) -> H
     order = np.argsort(-rows.logw)
     order = order[rows.logw[order] > rows.logw[order[0]] + numbers.log_kept]
     rows = rows.take(order)
-    deviations = None
-    groups: dict[tuple[int, ...], list[list[int]]] = {}
-    _, flies = np.unique(ladders.errors, return_inverse=True)  # rungs with equal flights are one
-    keys = np.column_stack([flies[rows.r], rows.c, rows.held, rows.just, rows.past[:, -scan:]])
-    for k, key in enumerate(map(tuple, keys.tolist())):
-        for group in (own := groups.setdefault(key, [])):
-            if deviations is None:
-                deviations = lengths_of(rows.roots(ladders)) + 1e-300
-            first = group[0]
-            is_alike = rows.r[k] == rows.r[first] or np.all(deviations[k] <= 2 * deviations[first])
-            off = np.abs(rows.x[k] - rows.x[first])
-            if is_alike and np.all(off <= numbers.near * deviations[first]):
-                group.append(k)
-                break
-        else:
-            own.append([k])
-    found = [group for own in groups.values() for group in own]
-    firsts = np.array([group[0] for group in found])
-    result = rows.take(firsts)
-    for place, group in enumerate(found):
-        if len(group) > 1:
-            weights = np.exp(rows.logw[group] - rows.logw[group[0]])
-            result.logw[place] += np.log(weights.sum())
-            weights /= weights.sum()
-            mean = weights @ rows.x[group]
-            apart = (rows.x[group] - mean)[:, :, None]
-            scale = np.sqrt(weights)[:, None, None]
-            S = np.concatenate([rows.S[group], apart], axis=2) * scale
-            result.x[place] = mean
-            result.S[place] = triangular(S.transpose(1, 0, 2).reshape(len(mean), -1))
-            if rows.B[group].any():
-                B = (rows.B[group] * scale).transpose(1, 0, 2).reshape(rows.B.shape[1], -1)
-                result.B[place] = triangular(B)
+    groups = _alike(rows, ladders, numbers, scan)
+    result = rows.take([group[0] for group in groups])
+    if several := [k for k, group in enumerate(groups) if len(group) > 1]:
+        _mix(result, several, rows, [groups[k] for k in several])
     best = np.argsort(-result.logw)[: most_of(numbers, rows.x.shape[1])]
     result = result.take(best)
     total = np.logaddexp.reduce(result.logw)
     return result._replace(logw=result.logw - total)
+
+
+def _alike(rows: Hypotheses, ladders: Ladders, numbers: Numbers, scan: int) -> list[list[int]]:
+    """Numbers of the hypotheses that are one, each group led by its first."""
+    _, flies = np.unique(ladders.errors, return_inverse=True)  # rungs with equal flights are one
+    keys = np.column_stack([flies[rows.r], rows.c, rows.held, rows.just, rows.past[:, -scan:]])
+    known: dict[tuple[int, ...], int] = {}
+    kind = np.array([known.setdefault(tuple(key), len(known)) for key in keys.tolist()])
+    if len(known) == rows.size:
+        return [[k] for k in range(rows.size)]
+    near = kind[:, None] == kind
+    deviations = lengths_of(rows.roots(ladders)) + 1e-300
+    is_narrow = np.all(deviations[:, None] <= 2 * deviations, axis=2)
+    near &= (rows.r[:, None] == rows.r) | is_narrow
+    near &= np.all(np.abs(rows.x[:, None] - rows.x) <= numbers.near * deviations, axis=2)
+    groups = dict[int, list[int]]()
+    for k, each in enumerate(near.tolist()):
+        leader = next((first for first in groups if each[first]), k)
+        groups.setdefault(leader, []).append(k)
+    return [*groups.values()]
+
+
+def _mix(result: Hypotheses, where: list[int], rows: Hypotheses, groups: list[list[int]]) -> None:
+    """Write the mixtures of ``groups`` of ``rows`` to rows ``where`` of ``result``."""
+    most = max(map(len, groups))
+    of = np.array([group + group[:1] * (most - len(group)) for group in groups])
+    logw = np.where(np.arange(most) < np.array([[len(g)] for g in groups]), rows.logw[of], -np.inf)
+    total = np.logaddexp.reduce(logw, axis=1)
+    weights = np.exp(logw - total[:, None])
+    mean = np.einsum("gk,gki->gi", weights, rows.x[of])
+    apart = (rows.x[of] - mean[:, None])[..., None]
+    scale = np.sqrt(weights)[..., None, None]
+    result.logw[where], result.x[where] = total, mean
+    result.S[where] = _joined(np.concatenate([rows.S[of], apart], axis=3) * scale)
+    if rows.B.any():
+        result.B[where] = _joined(rows.B[of] * scale)
+
+
+def _joined(roots: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Roots of sums of covariances, shape (G, N, N), from those of parts, (G, parts, N, any)."""
+    G, _, N, _ = roots.shape
+    return triangular(roots.transpose(0, 2, 1, 3).reshape(G, N, -1))

@@ -34,6 +34,7 @@ class Note(NamedTuple):
         reason: in plain words; empty for an event that is accepted as it was reported.
         innovation: in standard deviations; -1 where there is none.
         switched: index of the contact that has switched: another one where it was mislabelled.
+        missed: the impact that is inserted.
     """
 
     event: tuple[int, int]
@@ -43,11 +44,12 @@ class Note(NamedTuple):
     reason: str = ""
     innovation: float = -1.0
     switched: int = -1
+    missed: Missed | None = None
 
     @property
     def is_inserted(self) -> bool:
         """Whether it is on a missed impact that the hypothesis inserts."""
-        return self.ruling is Ruling.INSERTED
+        return self.missed is not None
 
     @property
     def decision(self) -> tuple[object, ...]:
@@ -128,6 +130,7 @@ def _inserted(each: Missed, event: Event, t: Elapsed) -> Note:
         f"IMPACT {why}: without it the estimate would penetrate by {each.depth:.3g} standard"
         " deviations",
         switched=each.contact,
+        missed=each,
     )
 
 

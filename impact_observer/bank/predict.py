@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from impact_observer.bank.bank import Array, Hypotheses, Missed, bits, spread_of
+from impact_observer.bank.bank import (
+    Array,
+    Hypotheses,
+    ImpactState,
+    Missed,
+    bits,
+    spread_of,
+)
 from impact_observer.bank.dips import Dips, dips_of
 from impact_observer.bank.ladders import Ladders, Numbers
 from impact_observer.bank.notes import with_missed
@@ -30,8 +37,6 @@ _SETTLED = 1e-7
 """Step of Newton that is the last one, over the fastest time scale; the next is its square."""
 _NEWTON = 8
 """Steps by which the instant of a predicted impact is found."""
-_NO_STAMP = 0.1
-"""Deviation of the instant of an impact that was not reported, over the fastest time scale."""
 _LEAST = -40.0
 """Least log probability that a dip costs: no hypothesis becomes impossible by it."""
 
@@ -118,17 +123,6 @@ class Flights:
         system = mechanism.system
         self.m, self.p, self.d = system.m, mechanism.theta.size, 2 * system.n
         self.rate, self.is_noisy = mechanism.rate, bool(ladders.errors.any())
-
-    def without_stamps(self) -> "Flights":
-        """The same for an impact that no stamp tells, only the state."""
-        clocks = np.full_like(self.ladders.clocks, _NO_STAMP / self.rate)
-        return Flights(
-            self.mechanism,
-            self.constants,
-            self.ladders._replace(clocks=clocks),
-            self.numbers,
-            Reports(self.log_missed, np.full_like(self.own_clocks, np.nan)),
-        )
 
     def clock(self, contact: NDArray[np.intp] | int, c: NDArray[np.intp]) -> Vector:
         """Deviations of stamps of a contact, by hypotheses on rungs ``c``, shape (H,), s."""
@@ -353,11 +347,11 @@ class Flights:
             own = np.flatnonzero(dips.contact[which] == i)
             near = (*dips.began[which][own].T, dips.zero[which][own])
             parts = parents.take(own), start[dips.h[which]][own], near
-            after, when = self._after_missed(i, leg, *parts)
+            after, when, states = self._after_missed(i, leg, *parts)
             deaf = -np.inf if leg.deaf is None else leg.deaf[i]
             dead = (dips.began[which][own][:, 1] < deaf).tolist()
-            about = zip(when.tolist(), depth[which][own].tolist(), dead, strict=True)
-            missed = [Missed(i, leg.t + s, size, late) for s, size, late in about]
+            about = zip(when.tolist(), depth[which][own].tolist(), dead, states, strict=True)
+            missed = [Missed(i, leg.t + s, *each) for s, *each in about]
             spawned.append(with_missed(after, missed))
             since.append(when)
         return stays, Hypotheses.joined(spawned), np.concatenate(since)
@@ -377,14 +371,14 @@ class Flights:
             size += np.einsum("hmi,hi->hm", np.abs(first.W), np.abs(x[:, :n])).max(axis=0)
             return np.asarray(_ROUNDING * size)
 
-        just = rows.just[None] >> np.arange(self.m)[:, None] & 1
-        g[0] = np.where(just, np.maximum(g[0], 0.0), g[0])
+        leaves = (rows.just[None] >> np.arange(self.m)[:, None] & 1) & (values.v[0] >= 0)
+        g[0] = np.where(leaves, np.maximum(g[0], 0.0), g[0])
         ignored = np.array(leg.held, dtype=np.intp)
         return dips_of(values._replace(g=g), start, rounding, ignored)
 
     def _after_missed(
         self, contact: int, leg: Leg, rows: Hypotheses, start: Vector, about: tuple[Vector, ...]
-    ) -> tuple[Hypotheses, Vector]:
+    ) -> tuple[Hypotheses, Vector, list[ImpactState]]:
         """Hypotheses after an impact of a ``contact`` that was missed, each at its own instant.
 
         The instants are ``about``: lower bounds, upper bounds, and a guess, s, shape (H,) each.
@@ -411,6 +405,9 @@ class Flights:
         by_speed = np.pad(guard.along, ((0, 0), (0, rows.x.shape[1] - d)))
         wide = spread_of(rows, self.ladders, by_speed)
         slow = -np.hypot(speed, np.minimum(wide, 1e3))
+        states = self._at_own_instants(
+            rows, guard.by / slow[:, None], before, (contact,), leg.held
+        )
         change = after - (jumps.Phi @ before[..., None])[..., 0]
         late = change[:, :, None] * (guard.by / slow[:, None])[:, None, :]
         Xi = late + np.pad(jumps.Phi, ((0, 0), (0, 0), (0, late.shape[2] - d)))
@@ -427,7 +424,26 @@ class Flights:
         logw = np.where(lost, -np.inf, rows.logw)
         just = np.full_like(rows.just, bits((contact,)))
         rows = rows._replace(x=whole, S=S, B=B, just=just, logw=logw)
-        return self.settled(rows, contact, t, leg.held, self.numbers.brief / self.rate), at
+        rows = self.settled(rows, contact, t, leg.held, self.numbers.brief / self.rate)
+        return rows, at, states
+
+    def _at_own_instants(
+        self, rows: Hypotheses, early: Array, rates: Array, hit: Contacts, held: Contacts
+    ) -> list[ImpactState]:
+        """Hypotheses at missed impacts; ``early`` are derivatives of how early these are, (H, N).
+
+        The states move at ``rates``, shape (H, d).
+        """
+        d, roots, W = (
+            self.d,
+            rows.published(self.ladders),
+            self.mechanism.gaps(rows.x[:, : self.d]).W,
+        )
+        push = rates[:, d // 2 :, None] * (early[:, None] @ roots)
+        speeds = W @ (roots[:, d // 2 : d] - push)
+        seen = np.concatenate([speeds, roots[:, d : d + self.p]], axis=1)
+        each = zip(rows.x, seen, self.ladders.kicks[rows.r].tolist(), strict=True)
+        return [ImpactState(hit, held, *state) for state in each]
 
     def settled(
         self, rows: Hypotheses, contact: int, t: list[Elapsed], held: Contacts, brief: float

@@ -635,16 +635,13 @@ class Observer:
                 return None
             return ImpactEstimate(stamp, verdict.contact, verdict.ruling, verdict.sequence)
         if verdict.ruling is Ruling.INSERTED:
-            before, after, hits = timeline.entry_at(stamp), None, {hit}
-            held = timeline.prediction(before).closed(seconds_between(before.since, stamp))
-            closed = before.closed if held is None else held
-        elif found is not None:
-            before, after, closed = found[0], found[1].belief, found[0].closed
-            hits = {hit if i == reported else i for i, kind in switches if kind is not Kind.OPEN}
-        else:
+            missed = self._verdicts.missed(stamp, hit)
+            balance = self.law.missed_balance(missed, timeline.entry_at(stamp).belief)
+            return ImpactEstimate(stamp, names[hit], verdict.ruling, 0, *balance.rows[0].tolist())
+        hits = {hit if i == reported else i for i, kind in switches if kind is not Kind.OPEN}
+        if found is None or hit not in hits:  # a release
             return None
-        if hit not in hits or (after is None and hit in closed):  # a release
-            return None
+        before, after, closed = found[0], found[1].belief, found[0].closed
         change = ContactChange(
             Elapsed(stamp - timeline.zero),
             closed,

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple, TypeAlias
 
+from impact_observer.bank.bank import Missed
 from impact_observer.bank.notes import Note
 from impact_observer.events import REVISED, ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.observer.event_order import EventKey, Switches
@@ -148,6 +149,12 @@ class EventVerdicts:
         self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in verdicts)
         return notes, tuple(verdicts)
 
+    def missed(self, stamp: int, contact: int) -> Missed:
+        """The missed impact on which the verdict of a ``stamp`` (ns) inserts it."""
+        missed = self._issued[_insertion(stamp, contact)].missed
+        assert missed is not None, "an insertion"
+        return missed
+
     def _verdict_of(self, note: Note, *, revises: bool) -> Verdict:
         """A ``note`` in words."""
         reason = f"{REVISED}{note.reason or 'as reported'}" if revises else note.reason
@@ -206,8 +213,10 @@ def _all_notes(entries: Sequence[Entry]) -> dict[Subject, Note]:
 
 def _by_subject(notes: Sequence[Note]) -> dict[Subject, Note]:
     return {
-        Subject(
-            (n.stamp // _NEAR * _NEAR, 0) if n.is_inserted else n.event, n.contact, n.is_inserted
-        ): n
+        _insertion(n.stamp, n.contact) if n.is_inserted else Subject(n.event, n.contact): n
         for n in notes
     }
+
+
+def _insertion(stamp: int, contact: int) -> Subject:
+    return Subject((stamp // _NEAR * _NEAR, 0), contact, inserted=True)

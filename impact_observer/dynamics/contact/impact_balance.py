@@ -58,24 +58,26 @@ def impact_balance(
         system: the masses, contacts and rebound laws; of a robot those at its state.
         active: contacts that are closed at the instant, ascending.
         pressed: those of ``active`` that take an impulse, whatever the signs of their speeds.
-        gamma: relative speeds of ``active`` before, shape (k,), m/s, positive where a gap opens.
-        beside: what those of ``pressed`` rebound with beside the law's speeds, shape (k,), m/s; of
-            other contacts it counts for nothing.
+        gamma: relative speeds of ``active`` before, shape (..., k), m/s, positive where a gap
+            opens.
+        beside: what those of ``pressed`` rebound with beside the law's speeds, shape (..., k),
+            m/s; of other contacts it counts for nothing.
 
     Returns:
-        One row of ``active`` each, as ``ImpactBalance.values`` has them, shape (k, 4).
+        One row of ``active`` each, as ``ImpactBalance.values`` has them, shape (..., k, 4).
     """
     W, taking = system.W[:, list(active)], [active.index(i) for i in pressed]
-    G, change = W.T @ np.linalg.solve(system.M, W), np.zeros(len(active))
+    G, change = W.T @ np.linalg.solve(system.M, W), np.zeros_like(gamma)
     for k in taking:
-        change[k] = -gamma[k] - float(system.rebounds[active[k]].rebound(gamma[k]))
+        change[..., k] = -gamma[..., k] - system.rebounds[active[k]].rebound(gamma[..., k])
     if beside is not None:
         change += beside
-    impulses = np.zeros(len(active))
+    impulses = np.zeros_like(gamma)
     # Of contacts that depend on each other the least impulses are taken.
-    impulses[taking] = np.linalg.pinv(G[np.ix_(taking, taking)], hermitian=True) @ change[taking]
-    after = gamma + G @ impulses
-    return np.column_stack([-gamma, after, impulses, -(gamma + after) / 2 * impulses])
+    inverse = np.linalg.pinv(G[np.ix_(taking, taking)], hermitian=True)
+    impulses[..., taking] = change[..., taking] @ inverse
+    after = gamma + impulses @ G
+    return np.stack([-gamma, after, impulses, -(gamma + after) / 2 * impulses], axis=-1)
 
 
 def uncertain_balance(
@@ -102,17 +104,17 @@ def uncertain_balance(
     Returns:
         Values and deviations, one row of ``active`` each, shape (k, 4).
     """
-    k, end = len(active), len(active) + theta.size
+    k, p = len(active), theta.size
     roots = linalg.block_diag(root, np.diag(scatter))
-
-    def values(z: Vector) -> Matrix:
-        return impact_balance(near(z[k:end]), active, pressed, z[:k], z[end:])
-
-    z = np.concatenate([gamma, theta, np.zeros(k)])
-    moved = np.zeros((k, 4, roots.shape[1]))
-    for j, deviation in enumerate(np.linalg.norm(roots, axis=1).tolist()):
-        if deviation > 0:
-            step = max(_STEP * deviation, _LEAST_STEP * abs(z[j])) * np.eye(z.size)[j]
-            slope = (values(z + step) - values(z - step)) / (2 * step[j])
-            moved += slope[:, :, None] * roots[j]
-    return values(z), np.linalg.norm(moved, axis=2)
+    deviations, z = np.linalg.norm(roots, axis=1), np.concatenate([gamma, theta, np.zeros(k)])
+    steps = np.maximum(_STEP * deviations, _LEAST_STEP * np.abs(z))
+    moved = z + np.stack([np.diag(steps), -np.diag(steps)])
+    moved = np.concatenate([moved, np.broadcast_to(z, (1, *moved.shape[1:]))])
+    speeds, beside = moved[..., :k], moved[..., k + p :]
+    found = impact_balance(near(theta), active, pressed, speeds, beside)
+    for j in (k + np.flatnonzero(deviations[k : k + p])).tolist():
+        for sign in (0, 1):
+            own = near(moved[sign, j, k : k + p])
+            found[sign, j] = impact_balance(own, active, pressed, gamma)
+    slopes = (found[0] - found[1]) / np.where(deviations, 2 * steps, np.inf)[:, None, None]
+    return found[2, 0], np.linalg.norm(np.einsum("jki,jr->kir", slopes, roots), axis=2)

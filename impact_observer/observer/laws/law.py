@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar
 
+from impact_observer.bank.bank import Missed
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.errors import UsageError
@@ -92,12 +93,12 @@ class Law(ABC):
         """
 
     def impact_balance(
-        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
+        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief
     ) -> ImpactBalance:
         """The balance of the contacts that hit; by default that of the estimate's own speeds.
 
         The impact is ``change.flown`` seconds after the belief ``before``, from which the
-        ``prediction`` goes; the belief ``after`` it is None for a missed impact.
+        ``prediction`` goes, and just before the belief ``after``.
 
         Raises:
             ImpactLawError: the impact law has no solution.
@@ -109,6 +110,14 @@ class Law(ABC):
         gamma = self.system.contact_speed(u)[list(active)]
         values = impact_balance(self.system, active, pressed, gamma)
         return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
+
+    def missed_balance(self, missed: Missed, belief: Belief) -> ImpactBalance:
+        """The balance of a missed impact that the law inserts after a ``belief``.
+
+        Raises:
+            ImpactLawError: the impact law has no solution.
+        """
+        raise NotImplementedError(f"{self.name} inserts no impacts")
 
     def measure(
         self, readings: Sequence[Reading], before: Belief, prediction: Prediction, s: float

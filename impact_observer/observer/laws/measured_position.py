@@ -105,7 +105,7 @@ class MeasuredPosition(Law):
         return belief, innovations[0]
 
     def impact_balance(
-        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
+        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief
     ) -> ImpactBalance:
         """The balance of the contacts that hit, by the replica's own speeds at its positions."""
         del before, after

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from scipy import linalg
 
-from impact_observer.bank.bank import Bank
+from impact_observer.bank.bank import Bank, ImpactState, Missed
 from impact_observer.bank.correct import Hit
 from impact_observer.bank.course import Course
 from impact_observer.bank.impact_bank import DeclaredErrors, ImpactBank
@@ -233,29 +233,34 @@ class MinimumVariance(Law):
         return self.made(bank, bank.rows.x[bank.rows.best], None, 0.0), outcomes
 
     def impact_balance(
-        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
+        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief
     ) -> ImpactBalance:
         """The balance of the contacts that hit, with deviations, at the estimated instant."""
+        del before
         assert isinstance(prediction, BankPrediction), "a prediction of this law"
-        prior, filter_, bank = prediction.bank, self.filter, (after or before).bank
+        prior, filter_, bank = prediction.bank, self.filter, after.bank
         assert bank is not None, "a belief of this law"
         best = bank.rows.take([bank.rows.best])
-        late = prior.late if after is None else bank.late
-        t = elapsed(change.t) + -late
-        if after is None:  # that of the event stays the one that is kept
-            rows = filter_.predicted(prior, t - prior.t, change.hit).rows
-        else:
-            rows = filter_.before(prior, t, change.hit).rows
+        t = elapsed(change.t) + -bank.late
+        rows = filter_.before(prior, t, change.hit).rows
         event = change.stamp, change.sequence
-        inserted = sum(n.is_inserted and n.event == event for n in best.notes[0]) if after else 0
+        inserted = sum(n.missed is not None and n.event == event for n in best.notes[0])
         own = np.array([len(each) == inserted for each in rows.missed])
         rows = rows.take(own) if own.any() else rows
         x, root = filter_.gaussian(rows)
         row = best._replace(x=x[None], S=root[None], B=np.zeros_like(best.B))
         held = tuple(i for i in change.before if i not in change.hit)
-        hit = Hit(t, change.hit, held, held)
-        least = self.uncertainty.least_deviations(x[: 2 * self.system.n], bank.sizes)
-        return filter_.balance(row, hit, least, prior.constants, inserted=after is None)
+        state, early = filter_.reported(row, Hit(t, change.hit, held, held), prior.constants)
+        return self._balance(state, bank, prior.constants)._replace(early=early)
+
+    def missed_balance(self, missed: Missed, belief: Belief) -> ImpactBalance:
+        """That of the hypothesis which inserts the impact."""
+        assert belief.bank is not None, "a belief of this law"
+        return self._balance(missed.state, belief.bank, belief.bank.constants)
+
+    def _balance(self, state: ImpactState, bank: Bank, constants: Vector) -> ImpactBalance:
+        least = self.uncertainty.least_deviations(state.x[: 2 * self.system.n], bank.sizes)
+        return self.filter.balance(state, constants, least)
 
     def doubt(self, belief: Belief, deviations: Vector) -> str:
         """Which deviation is too wide; empty if none is."""
