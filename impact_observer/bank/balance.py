@@ -5,38 +5,77 @@ Deviations are of first order: by the errors of the instant and of the state, by
 parameters, such as a restitution, and by an error of the impulse.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.bank.bank import Hypotheses, ImpactState
-from impact_observer.bank.correct import Hit, at_impact
-from impact_observer.bank.predict import Flights
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, uncertain_balance
 from impact_observer.dynamics.mechanism import Mechanism
-from impact_observer.states import Vector
+from impact_observer.events import Contacts
+from impact_observer.states import Matrix, Vector
+
+Array = NDArray[np.float64]
 
 
-def reported_impact(
-    row: Hypotheses, hit: Hit, flights: Flights, considered: NDArray[np.intp]
-) -> tuple[ImpactState, float]:
-    """The state of a hypothesis at an impact that a stamp tells, and how early that is, s.
+@dataclass(frozen=True, slots=True, eq=False)
+class ImpactState:
+    """What a hypothesis knows of an impact at its own instant, before the jump.
+
+    Attributes:
+        contacts: those that hit.
+        held: contacts that are closed before.
+        x: (q, u), shape (2n,).
+        z: speeds of all contacts, and parameters of the model, shape (m + p,).
+        root: of the covariance of ``z``, shape (m + p, any).
+        scatter: relative error of the impulse.
+        early: how much before the stamp of an event the instant is, s.
+    """
+
+    contacts: Contacts
+    held: Contacts
+    x: Vector
+    z: Vector
+    root: Matrix
+    scatter: float
+    early: float = 0.0
+
+
+def impact_states(
+    mechanism: Mechanism,
+    impact: tuple[Contacts, Sequence[Contacts], Vector],
+    states: Array,
+    roots: Array,
+    scatter: Vector,
+) -> list[ImpactState]:
+    """What H hypotheses know of an impact.
 
     Args:
-        row: one hypothesis at the stamp, before the impact.
-        hit: the impact.
-        flights: near its parameters.
-        considered: numbers of the state that are not estimated.
+        mechanism: near their parameters.
+        impact: contacts that hit, contacts that each holds closed before, and how much before the
+            stamp of the event each has it, s, shape (H,).
+        states: at its instant, shape (H, N).
+        roots: of their covariances there, shape (H, N, any).
+        scatter: relative errors of the impulse, shape (H,).
     """
-    stamped = at_impact(row, hit, flights, considered)
-    d, mechanism, v = flights.d, flights.mechanism, float(stamped.v[0])
-    back = flights.images([hit.t], stamped.x, -stamped.v, hit.held)
-    root, x = stamped.root[0], stamped.x[0].copy()
-    rate = mechanism.rates([hit.t + -v], back.x, hit.held)[0]
-    errors = back.Phi[0] @ root[:d] + back.Gamma[0] @ root[d:-1] - np.outer(rate, root[-1])
-    x[:d] = back.x[0]
-    seen = np.vstack([mechanism.gaps(x[:d]).W @ errors[d // 2 :], root[d : d + flights.p]])
-    scatter = float(flights.ladders.kicks[row.r[0]])
-    return ImpactState(hit.contacts, hit.held, x, seen, scatter), v
+    contacts, held, early = impact
+    d, p = 2 * mechanism.system.n, mechanism.theta.size
+    x, gaps = states[:, :d], mechanism.gaps(states[:, :d])
+    z = np.hstack([gaps.gamma, states[:, d : d + p]])
+    root = np.concatenate([gaps.W @ roots[:, d // 2 : d], roots[:, d : d + p]], axis=1)
+    each = zip(held, x, z, root, scatter.tolist(), early.tolist(), strict=True)
+    return [ImpactState(contacts, *own) for own in each]
+
+
+def mixed(states: Sequence[ImpactState], weights: Vector) -> ImpactState:
+    """The likeliest of H ``states`` with the covariance of all about it, by ``weights``, (H,)."""
+    best = states[int(np.argmax(weights))]
+    parts = [
+        np.column_stack([each.root, each.z - best.z]) * weight
+        for each, weight in zip(states, np.sqrt(weights / weights.sum()), strict=True)
+    ]
+    return replace(best, root=np.hstack(parts))
 
 
 def balance_of(state: ImpactState, mechanism: Mechanism, least: Vector) -> ImpactBalance:
@@ -50,21 +89,19 @@ def balance_of(state: ImpactState, mechanism: Mechanism, least: Vector) -> Impac
     Raises:
         ImpactLawError: the impact law has no solution.
     """
-    n, p = mechanism.system.n, mechanism.theta.size
-    own, theta = state.x[: 2 * n], state.x[2 * n : 2 * n + p]
-    active, gaps = tuple(sorted({*state.held, *state.contacts})), mechanism.gaps(own)
-    W, gamma = gaps.W[list(active)], gaps.gamma[list(active)]
-    m = mechanism.system.m
+    n, m, p = mechanism.system.n, mechanism.system.m, mechanism.theta.size
+    active = tuple(sorted({*state.held, *state.contacts}))
+    own, gamma = list(active), state.z[list(active)]
+    W = mechanism.gaps(state.x).W[own]
+    beside = np.vstack([W * least[n:], np.zeros((p, n))])
     values, deviations = uncertain_balance(
-        lambda theta: mechanism.near(own, theta),
+        lambda theta: mechanism.near(state.x, theta),
         active,
-        mechanism.pressed(own, active, state.contacts),
+        mechanism.pressed(state.x, active, state.contacts),
         gamma=gamma,
-        theta=theta,
-        root=np.block(
-            [[state.root[list(active)], W * least[n:]], [state.root[m:], np.zeros((p, n))]]
-        ),
+        theta=state.z[m:],
+        root=np.hstack([state.root[[*own, *range(m, m + p)]], beside]),
         scatter=state.scatter * np.abs(gamma),
     )
     rows = [active.index(i) for i in state.contacts]
-    return ImpactBalance(values[rows], deviations[rows])
+    return ImpactBalance(values[rows], deviations[rows], state.early)

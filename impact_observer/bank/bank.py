@@ -2,12 +2,12 @@
 """Hypotheses as arrays, one row each, and the bank of them."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.bank.balance import ImpactState
 from impact_observer.bank.ladders import Ladders
 from impact_observer.events import Contacts
 from impact_observer.square_roots import lengths_of, triangular
@@ -22,27 +22,7 @@ TRUE, SPURIOUS, MISSED, OTHER, RESTART = range(1, 6)
 _ONLY = np.zeros(1, dtype=np.intp)
 
 
-class ImpactState(NamedTuple):
-    """What a hypothesis knows of an impact at its own instant, before the jump.
-
-    Attributes:
-        contacts: those that hit.
-        held: contacts that are closed before.
-        x: the state, shape (N,).
-        root: of the covariance of the speeds of all contacts and the p parameters of the model,
-            shape (m + p, any).
-        scatter: relative error of the impulse.
-    """
-
-    contacts: Contacts
-    held: Contacts
-    x: Vector
-    root: Matrix
-    scatter: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Missed:
+class Missed(NamedTuple):
     """An impact that was predicted and not reported.
 
     Attributes:
@@ -155,10 +135,13 @@ class Hypotheses(NamedTuple):
 
         So after the first event deviations of (q, u) are larger where the model is in error.
         """
-        found, d = self.roots(ladders), self.B.shape[1]
-        factor = np.where(self.past.any(axis=1), ladders.persistence[self.r], 1.0)
-        found[:, :d] *= factor[:, None, None]
+        found = self.roots(ladders)
+        found[:, : self.B.shape[1]] *= self.persistence(ladders)[:, None, None]
         return found
+
+    def persistence(self, ladders: Ladders) -> Vector:
+        """Factors of the published deviations of (q, u), shape (H,)."""
+        return np.where(self.past.any(axis=1), ladders.persistence[self.r], 1.0)
 
     @property
     def weights(self) -> Vector:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.bank.balance import ImpactState, impact_states
 from impact_observer.bank.bank import Array, Hypotheses
 from impact_observer.bank.predict import Flights
 from impact_observer.events import Contacts
@@ -63,19 +64,8 @@ class Stamped(NamedTuple):
 
 def corrected(
     rows: Hypotheses, hit: Hit, flights: Flights, considered: NDArray[np.intp]
-) -> Hypotheses:
-    """Hypotheses after an impact, with their weights; arguments as of :func:`at_impact`.
-
-    Raises:
-        ImpactLawError: the impact law has no solution on these contacts.
-    """
-    return _jumped(rows, at_impact(rows, hit, flights, considered), hit, flights)
-
-
-def at_impact(
-    rows: Hypotheses, hit: Hit, flights: Flights, considered: NDArray[np.intp]
-) -> Stamped:
-    """Hypotheses at the stamp of an impact, which corrects them, without the jump.
+) -> tuple[Hypotheses, list[ImpactState]]:
+    """Hypotheses after an impact, and what they know of the impact.
 
     Their rungs are those by which they explain the impact.
 
@@ -84,14 +74,17 @@ def at_impact(
         hit: the impact.
         flights: near their parameters.
         considered: numbers of the state that are not estimated.
+
+    Raises:
+        ImpactLawError: the impact law has no solution on these contacts.
     """
-    stamped = stamped_of(rows, flights, hit.contacts[0])
+    stamped = _stamped(rows, flights, hit.contacts[0])
     for contact in hit.contacts:
         stamped = _measured(stamped, contact, hit, flights, considered)
-    return stamped
+    return _jumped(rows, stamped, hit, flights)
 
 
-def stamped_of(rows: Hypotheses, flights: Flights, contact: int) -> Stamped:
+def _stamped(rows: Hypotheses, flights: Flights, contact: int) -> Stamped:
     """Hypotheses at a stamp of a ``contact``, with the errors of the stamp."""
     (H, N), d = rows.x.shape, flights.d
     root = np.zeros((H, N + 1, N + d + 2))
@@ -141,8 +134,10 @@ def _measured(
     return Stamped(x, v, root)
 
 
-def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> Hypotheses:
-    """States at the stamp after a jump ``v`` before it."""
+def _jumped(
+    rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights
+) -> tuple[Hypotheses, list[ImpactState]]:
+    """States at the stamp after a jump ``v`` before it, and at the jump."""
     x, v, root = stamped
     (H, N), d, p, mechanism = x.shape, flights.d, flights.p, flights.mechanism
     back = flights.images([hit.t], x, -v, hit.held)
@@ -163,7 +158,14 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
     before = mechanism.rates([hit.t], x[:, :d], hit.held)
     by_v = later - (by_x @ before[..., None])[..., 0]
     S[:, :d] += by_v[:, :, None] * root[:, N:]
-    error = flights.ladders.kicks[rows.r]
+    own, error = root[:, :N].copy(), flights.ladders.kicks[rows.r]
+    rates = mechanism.rates(times, back.x, hit.held)
+    own[:, :d] = back.Phi @ root[:, :d] + back.Gamma @ root[:, d:N]
+    own[:, :d] -= rates[:, :, None] * root[:, N:]
+    own[:, :d] *= rows.persistence(flights.ladders)[:, None, None]
+    at_jump = np.hstack([back.x, x[:, d:]])
+    impact = hit.contacts, [hit.held] * H, v
+    states = impact_states(mechanism, impact, at_jump, own, error)
     if error.any() and not hit.closed:
         kicks, gamma = np.zeros((H, N, len(hit.contacts))), mechanism.gaps(back.x).gamma
         for k, contact in enumerate(hit.contacts):
@@ -174,7 +176,7 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
     sizes = np.abs(whole[:, :d]).reshape(H, 2, -1).max(axis=2)
     rounding[:, range(d), range(d)] = _ROUNDING * np.repeat(sizes, d // 2, axis=1)
     S = np.concatenate([S, rounding], axis=2)
-    return rows._replace(
+    rows = rows._replace(
         x=whole,
         S=triangular(S),
         B=np.zeros_like(rows.B),
@@ -182,6 +184,7 @@ def _jumped(rows: Hypotheses, stamped: Stamped, hit: Hit, flights: Flights) -> H
         sunk=np.zeros_like(rows.sunk),
         tried=np.zeros_like(rows.tried),
     )
+    return rows, states
 
 
 def _pressed(own: Array, x: Array, hit: Hit, flights: Flights) -> tuple[Array, Array, Array]:

@@ -4,13 +4,13 @@
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from impact_observer.bank.balance import balance_of, reported_impact
+from impact_observer.bank.balance import ImpactState, balance_of, impact_states
 from impact_observer.bank.bank import (
     OTHER,
     RESTART,
@@ -18,7 +18,6 @@ from impact_observer.bank.bank import (
     TRUE,
     Bank,
     Hypotheses,
-    ImpactState,
     bits,
     contacts_of,
     mixture,
@@ -43,10 +42,6 @@ _SHORTEST = 1e-9
 """Shortest flight between two bounces, s."""
 _SMALL = 1e-12
 """Size of a motion that has none, m or m/s."""
-
-
-_Before: TypeAlias = tuple[Hypotheses, Vector | None, tuple[Elapsed, Elapsed, Contacts], Bank]
-"""Hypotheses, times of the forces' samples, two instants with contacts, and the prediction."""
 
 
 class DeclaredErrors(NamedTuple):
@@ -116,7 +111,6 @@ class ImpactBank:
         self.scan = numbers.scan * self.n
         missed_none = bool(np.all(self.log_missed == -math.inf))
         self._is_trusted = missed_none and self.priors.spurious == -math.inf
-        self._before: _Before | None = None
 
     def flights(self, constants: Vector) -> Flights:
         """Flights near these parameters and this delay, shape (N - 2n,)."""
@@ -180,20 +174,6 @@ class ImpactBank:
         rows = self._begun(x, root, held)
         notes = objects([before.notes[before.best]] * rows.size)
         return rows._replace(logw=rows.logw + logw, notes=notes)
-
-    def before(self, bank: Bank, t: Elapsed, named: Contacts) -> Bank:
-        """The bank just before an event of the contacts ``named`` at ``t``.
-
-        The last one is kept: the estimate of an impact asks for it again.
-        """
-        forces = self.family.system.forcing.sampled_at
-        if self._before is not None:
-            rows, known, asked, found = self._before
-            if rows is bank.rows and known is forces and asked == (bank.t, t, named):
-                return found
-        found = self.predicted(bank, t - bank.t, named)
-        self._before = bank.rows, forces, (bank.t, t, named), found
-        return found
 
     def predicted(self, bank: Bank, s: float, named: Contacts = ()) -> Bank:
         """The bank ``s`` seconds later, just before an event of the contacts ``named`` if any."""
@@ -283,8 +263,10 @@ class ImpactBank:
             order = np.argsort(-logw)[:most]
             order = order[logw[order] > kept]
             if order.size:
-                stays = rows.take(order)._replace(logw=logw[order])
-                found.append(decided(stays, (event, bank.t), kind, sizes[order].tolist()))
+                stays, none = rows.take(order)._replace(logw=logw[order]), [None] * order.size
+                states = none if kind == SPURIOUS else self._resting(stays, event, flights)
+                z_of = sizes[order].tolist()
+                found.append(decided(stays, (event, bank.t), (kind, ""), z_of, states))
         replica = flights.mechanism.struck(bank.replica, event.hit)
         if bank.closed:
             replica = flights.mechanism.stopped(replica, bank.closed)
@@ -352,13 +334,9 @@ class ImpactBank:
         rows = rows._replace(logw=rows.logw - np.logaddexp.reduce(rows.logw))
         return self._recentred(bank._replace(rows=rows)), found
 
-    def reported(self, row: Hypotheses, hit: Hit, constants: Vector) -> tuple[ImpactState, float]:
-        """The state at a reported impact, of one hypothesis; see ``reported_impact``."""
-        return reported_impact(row, hit, self.flights(constants), self._considered)
-
-    def balance(self, state: ImpactState, constants: Vector, least: Vector) -> ImpactBalance:
+    def balance(self, state: ImpactState, bank: Bank, least: Vector) -> ImpactBalance:
         """The balance of an impact; see ``balance_of``."""
-        return balance_of(state, self.flights(constants).mechanism, least)
+        return balance_of(state, self.flights(bank.constants).mechanism, least)
 
     def _is_in_error(self, rows: Hypotheses) -> bool:
         """Whether the model is almost surely in error, which nothing declares."""
@@ -394,11 +372,12 @@ class ImpactBank:
             for which, held in chosen.take(of_contact).by_held():
                 own, closed = of_contact[which], tuple(sorted({*held, *event.closed}))
                 group = chosen.take(own)
-                rows = corrected(group, Hit(t, hit, held, closed), flights, self._considered)
+                struck = Hit(t, hit, held, closed)
+                rows, states = corrected(group, struck, flights, self._considered)
                 just = np.full_like(group.just, bits(hit))
                 rows = rows._replace(just=just, held=np.full_like(group.held, bits(closed)))
-                kind, other = TRUE if i == named else OTHER, (i, self.names[i])
-                rows = decided(rows, (event, t), kind, branches.z[own].tolist(), other)
+                kind = (TRUE, "") if i == named else (OTHER, self.names[i])
+                rows = decided(rows, (event, t), kind, branches.z[own].tolist(), states)
                 if not event.closed and len(hit) == 1:
                     brief = self.numbers.bounce / self.rate
                     rows = flights.settled(rows, i, [t], held, brief)
@@ -448,7 +427,20 @@ class ImpactBank:
             root = _known(flights.guard(contact, whole).by[0, : self.d], root)
         rows = self._begun_anew(bank.rows, replica, root, event.closed, logw)
         rows = rows._replace(just=np.full_like(rows.just, bits(event.hit)))
-        return decided(rows, (event, bank.t), RESTART, [-1.0] * rows.size)
+        x, scatter = np.concatenate([bank.replica, self.nominal])[None], np.zeros(1)
+        impact = event.hit, [bank.closed], np.zeros(1)
+        states = impact_states(flights.mechanism, impact, x, rows.S[:1], scatter) * rows.size
+        return decided(rows, (event, bank.t), (RESTART, ""), [-1.0] * rows.size, states)
+
+    def _resting(self, rows: Hypotheses, event: Event, flights: Flights) -> list[ImpactState]:
+        """The states at an impact of contacts that rest: one of a row of bounces."""
+        held = [
+            tuple(i for i in contacts_of(each) if i not in event.hit)
+            for each in rows.held.tolist()
+        ]
+        roots, scatter = rows.published(self.ladders), self.ladders.kicks[rows.r]
+        impact = event.hit, held, np.zeros(rows.size)
+        return impact_states(flights.mechanism, impact, rows.x, roots, scatter)
 
 
 def _known(row: Vector, root: Matrix) -> Matrix:

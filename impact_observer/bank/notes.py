@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.bank.balance import ImpactState
 from impact_observer.bank.bank import (
     MISSED,
     OTHER,
@@ -34,7 +35,7 @@ class Note(NamedTuple):
         reason: in plain words; empty for an event that is accepted as it was reported.
         innovation: in standard deviations; -1 where there is none.
         switched: index of the contact that has switched: another one where it was mislabelled.
-        missed: the impact that is inserted.
+        state: at the impact; None for an event that is none.
     """
 
     event: tuple[int, int]
@@ -44,12 +45,12 @@ class Note(NamedTuple):
     reason: str = ""
     innovation: float = -1.0
     switched: int = -1
-    missed: Missed | None = None
+    state: ImpactState | None = None
 
     @property
     def is_inserted(self) -> bool:
         """Whether it is on a missed impact that the hypothesis inserts."""
-        return self.missed is not None
+        return self.ruling is Ruling.INSERTED
 
     @property
     def decision(self) -> tuple[object, ...]:
@@ -83,35 +84,36 @@ class Event(NamedTuple):
 def decided(
     rows: Hypotheses,
     at: tuple[Event, Elapsed],
-    kind: int,
+    kind: tuple[int, str],
     sizes: Sequence[float],
-    other: tuple[int, str] = (-1, ""),
+    states: Sequence[ImpactState | None],
 ) -> Hypotheses:
     """Hypotheses that have decided on an event.
 
     Args:
         rows: the hypotheses.
         at: the event, and its instant, s since the epoch.
-        kind: ``TRUE``, ``SPURIOUS``, ``OTHER`` or ``RESTART``.
+        kind: ``TRUE``, ``SPURIOUS``, ``OTHER`` or ``RESTART``, and the name of the other contact.
         sizes: innovations in standard deviations; -1 for none.
-        other: index and name of the contact that has hit instead.
+        states: at the impact; None for an event that is none.
     """
     event, t = at
+    decision, name = kind
     ruling, reason = {
         TRUE: (Ruling.APPLIED, ""),
         SPURIOUS: (Ruling.REJECTED, "no motion has this impact"),
-        OTHER: (Ruling.APPLIED, f"{MISLABELLED}{other[1]}"),
+        OTHER: (Ruling.APPLIED, f"{MISLABELLED}{name}"),
         RESTART: (Ruling.APPLIED, "restart: the estimate before it is rejected"),
-    }[kind]
-    notes = []
-    for k, size in enumerate(sizes):
+    }[decision]
+    notes, hit = [], event.hit if states[0] is None else states[0].contacts
+    for k, (size, state) in enumerate(zip(sizes, states, strict=True)):
         inserted = tuple(_inserted(each, event, t) for each in rows.missed[k])
         own = tuple(
-            Note(event.key, event.stamp, i, ruling, reason, size, other[0] if kind == OTHER else i)
-            for i in event.hit
+            Note(event.key, event.stamp, i, ruling, reason, size, other, state)
+            for i, other in zip(event.hit, hit, strict=True)
         )
         notes.append((*rows.notes[k], *inserted, *own)[-_KEPT:])
-    past = rows.decided(8 * (other[0] if kind == OTHER else event.hit[0]) + kind)
+    past = rows.decided(8 * hit[0] + decision)
     return rows._replace(
         past=past,
         notes=objects(notes),
@@ -130,7 +132,7 @@ def _inserted(each: Missed, event: Event, t: Elapsed) -> Note:
         f"IMPACT {why}: without it the estimate would penetrate by {each.depth:.3g} standard"
         " deviations",
         switched=each.contact,
-        missed=each,
+        state=each.state,
     )
 
 

@@ -14,14 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from impact_observer.bank.bank import (
-    Array,
-    Hypotheses,
-    ImpactState,
-    Missed,
-    bits,
-    spread_of,
-)
+from impact_observer.bank.balance import ImpactState, impact_states
+from impact_observer.bank.bank import Array, Hypotheses, Missed, bits, spread_of
 from impact_observer.bank.dips import Dips, dips_of
 from impact_observer.bank.ladders import Ladders, Numbers
 from impact_observer.bank.notes import with_missed
@@ -405,11 +399,16 @@ class Flights:
         by_speed = np.pad(guard.along, ((0, 0), (0, rows.x.shape[1] - d)))
         wide = spread_of(rows, self.ladders, by_speed)
         slow = -np.hypot(speed, np.minimum(wide, 1e3))
-        states = self._at_own_instants(
-            rows, guard.by / slow[:, None], before, (contact,), leg.held
+        early = (guard.by / slow[:, None])[:, None, :]
+        roots = rows.published(self.ladders)
+        roots[:, :d] -= before[:, :, None] * (early @ roots)
+        impact, scatter = (
+            ((contact,), [leg.held] * len(x), np.zeros(len(x))),
+            self.ladders.kicks[rows.r],
         )
+        states = impact_states(mechanism, impact, rows.x, roots, scatter)
         change = after - (jumps.Phi @ before[..., None])[..., 0]
-        late = change[:, :, None] * (guard.by / slow[:, None])[:, None, :]
+        late = change[:, :, None] * early
         Xi = late + np.pad(jumps.Phi, ((0, 0), (0, 0), (0, late.shape[2] - d)))
         S, B, whole = rows.S.copy(), rows.B, rows.x.copy()
         Xi[:, :, d : d + self.p] += jumps.Gamma
@@ -426,24 +425,6 @@ class Flights:
         rows = rows._replace(x=whole, S=S, B=B, just=just, logw=logw)
         rows = self.settled(rows, contact, t, leg.held, self.numbers.brief / self.rate)
         return rows, at, states
-
-    def _at_own_instants(
-        self, rows: Hypotheses, early: Array, rates: Array, hit: Contacts, held: Contacts
-    ) -> list[ImpactState]:
-        """Hypotheses at missed impacts; ``early`` are derivatives of how early these are, (H, N).
-
-        The states move at ``rates``, shape (H, d).
-        """
-        d, roots, W = (
-            self.d,
-            rows.published(self.ladders),
-            self.mechanism.gaps(rows.x[:, : self.d]).W,
-        )
-        push = rates[:, d // 2 :, None] * (early[:, None] @ roots)
-        speeds = W @ (roots[:, d // 2 : d] - push)
-        seen = np.concatenate([speeds, roots[:, d : d + self.p]], axis=1)
-        each = zip(rows.x, seen, self.ladders.kicks[rows.r].tolist(), strict=True)
-        return [ImpactState(hit, held, *state) for state in each]
 
     def settled(
         self, rows: Hypotheses, contact: int, t: list[Elapsed], held: Contacts, brief: float

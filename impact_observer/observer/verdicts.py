@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple, TypeAlias
 
-from impact_observer.bank.bank import Missed
+from impact_observer.bank.balance import ImpactState
 from impact_observer.bank.notes import Note
 from impact_observer.events import REVISED, ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.observer.event_order import EventKey, Switches
@@ -149,11 +149,11 @@ class EventVerdicts:
         self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in verdicts)
         return notes, tuple(verdicts)
 
-    def missed(self, stamp: int, contact: int) -> Missed:
-        """The missed impact on which the verdict of a ``stamp`` (ns) inserts it."""
-        missed = self._issued[_insertion(stamp, contact)].missed
-        assert missed is not None, "an insertion"
-        return missed
+    def missed(self, stamp: int, contact: int) -> ImpactState:
+        """The state at the missed impact that a verdict of a ``stamp`` (ns) inserts."""
+        state = self._issued[_insertion(stamp, contact)].state
+        assert state is not None, "an insertion"
+        return state
 
     def _verdict_of(self, note: Note, *, revises: bool) -> Verdict:
         """A ``note`` in words."""

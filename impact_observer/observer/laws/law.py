@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar
 
-from impact_observer.bank.bank import Missed
+from impact_observer.bank.balance import ImpactState
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.errors import UsageError
@@ -111,7 +111,7 @@ class Law(ABC):
         values = impact_balance(self.system, active, pressed, gamma)
         return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
-    def missed_balance(self, missed: Missed, belief: Belief) -> ImpactBalance:
+    def missed_balance(self, missed: ImpactState, belief: Belief) -> ImpactBalance:
         """The balance of a missed impact that the law inserts after a ``belief``.
 
         Raises:

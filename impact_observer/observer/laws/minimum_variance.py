@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 from scipy import linalg
 
-from impact_observer.bank.bank import Bank, ImpactState, Missed
-from impact_observer.bank.correct import Hit
+from impact_observer.bank.balance import ImpactState, mixed
+from impact_observer.bank.bank import Bank
 from impact_observer.bank.course import Course
 from impact_observer.bank.impact_bank import DeclaredErrors, ImpactBank
 from impact_observer.bank.notes import Event
@@ -182,7 +182,7 @@ class MinimumVariance(Law):
             delay += float(self._latency[change.contacts[0]])
         t = elapsed(change.t) + -delay
         if bank.rows.past.any() or prior.flown:
-            bank = self.filter.before(bank, t, change.hit)
+            bank = self.filter.predicted(bank, t - bank.t, change.hit)
         stay = tuple(i for i in change.hit if i in change.closed)
         event = Event(change.hit, stay, change.opened, change.stamp, change.sequence)
         bank = self.filter.after(bank._replace(t=t, late=delay), event)
@@ -236,31 +236,28 @@ class MinimumVariance(Law):
         self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief
     ) -> ImpactBalance:
         """The balance of the contacts that hit, with deviations, at the estimated instant."""
-        del before
-        assert isinstance(prediction, BankPrediction), "a prediction of this law"
-        prior, filter_, bank = prediction.bank, self.filter, after.bank
-        assert bank is not None, "a belief of this law"
-        best = bank.rows.take([bank.rows.best])
-        t = elapsed(change.t) + -bank.late
-        rows = filter_.before(prior, t, change.hit).rows
-        event = change.stamp, change.sequence
-        inserted = sum(n.missed is not None and n.event == event for n in best.notes[0])
-        own = np.array([len(each) == inserted for each in rows.missed])
-        rows = rows.take(own) if own.any() else rows
-        x, root = filter_.gaussian(rows)
-        row = best._replace(x=x[None], S=root[None], B=np.zeros_like(best.B))
-        held = tuple(i for i in change.before if i not in change.hit)
-        state, early = filter_.reported(row, Hit(t, change.hit, held, held), prior.constants)
-        return self._balance(state, bank, prior.constants)._replace(early=early)
+        del before, prediction
+        assert after.bank is not None, "a belief of this law"
+        rows, key = after.bank.rows, (change.stamp, change.sequence)
+        states, weights = list[ImpactState](), list[float]()
+        for notes, weight in zip(rows.notes, rows.weights.tolist(), strict=True):
+            for note in reversed(notes):
+                if note.event != key:
+                    break
+                if note.switched in change.hit and note.ruling is Ruling.APPLIED:
+                    states.append(note.state)
+                    weights.append(weight)
+                    break
+        return self._balance(mixed(states, np.array(weights)), after.bank)
 
-    def missed_balance(self, missed: Missed, belief: Belief) -> ImpactBalance:
+    def missed_balance(self, missed: ImpactState, belief: Belief) -> ImpactBalance:
         """That of the hypothesis which inserts the impact."""
         assert belief.bank is not None, "a belief of this law"
-        return self._balance(missed.state, belief.bank, belief.bank.constants)
+        return self._balance(missed, belief.bank)
 
-    def _balance(self, state: ImpactState, bank: Bank, constants: Vector) -> ImpactBalance:
-        least = self.uncertainty.least_deviations(state.x[: 2 * self.system.n], bank.sizes)
-        return self.filter.balance(state, constants, least)
+    def _balance(self, state: ImpactState, bank: Bank) -> ImpactBalance:
+        least = self.uncertainty.least_deviations(state.x, bank.sizes)
+        return self.filter.balance(state, bank, least)
 
     def doubt(self, belief: Belief, deviations: Vector) -> str:
         """Which deviation is too wide; empty if none is."""
