@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from impact_observer.bank.balance import ImpactState, impact_states
 from impact_observer.bank.bank import Array, Hypotheses
 from impact_observer.bank.predict import Flights
+from impact_observer.dynamics.mechanism import Flown
 from impact_observer.events import Contacts
 from impact_observer.square_roots import lengths_of, triangular
 from impact_observer.stamps import Elapsed
@@ -158,14 +159,7 @@ def _jumped(
     before = mechanism.rates([hit.t], x[:, :d], hit.held)
     by_v = later - (by_x @ before[..., None])[..., 0]
     S[:, :d] += by_v[:, :, None] * root[:, N:]
-    own, error = root[:, :N].copy(), flights.ladders.kicks[rows.r]
-    rates = mechanism.rates(times, back.x, hit.held)
-    own[:, :d] = back.Phi @ root[:, :d] + back.Gamma @ root[:, d:N]
-    own[:, :d] -= rates[:, :, None] * root[:, N:]
-    own[:, :d] *= rows.persistence(flights.ladders)[:, None, None]
-    at_jump = np.hstack([back.x, x[:, d:]])
-    impact = hit.contacts, [hit.held] * H, v
-    states = impact_states(mechanism, impact, at_jump, own, error)
+    error = flights.ladders.kicks[rows.r]
     if error.any() and not hit.closed:
         kicks, gamma = np.zeros((H, N, len(hit.contacts))), mechanism.gaps(back.x).gamma
         for k, contact in enumerate(hit.contacts):
@@ -184,7 +178,25 @@ def _jumped(
         sunk=np.zeros_like(rows.sunk),
         tried=np.zeros_like(rows.tried),
     )
-    return rows, states
+    return rows, _states_at_jump(rows, stamped, back, hit, flights)
+
+
+def _states_at_jump(
+    rows: Hypotheses, stamped: Stamped, back: Flown, hit: Hit, flights: Flights
+) -> list[ImpactState]:
+    """What hypotheses know ``v`` before the stamp, where the flights ``back`` have led."""
+    x, v, root = stamped
+    (H, N), d = x.shape, flights.d
+    times = [hit.t + -each for each in v.tolist()]
+    rates = flights.mechanism.rates(times, back.x, hit.held)
+    own = root[:, :N].copy()
+    own[:, :d] = (
+        back.Phi @ root[:, :d] + back.Gamma @ root[:, d:N] - rates[..., None] * root[:, N:]
+    )
+    own[:, :d] *= rows.persistence(flights.ladders)[:, None, None]
+    impact = hit.contacts, [hit.held] * H, v
+    scatter = flights.ladders.kicks[rows.r]
+    return impact_states(flights.mechanism, impact, np.hstack([back.x, x[:, d:]]), own, scatter)
 
 
 def _pressed(own: Array, x: Array, hit: Hit, flights: Flights) -> tuple[Array, Array, Array]:
