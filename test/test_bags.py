@@ -47,6 +47,7 @@ RIGS: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "switch": (switch_bag, "/switch", "data"),
     "accelerometer": (accelerometer_bag, "/imu", _AXES),
 }
+TWO = ("geometric", "minimum-variance")
 DECIDING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 
 
@@ -81,7 +82,9 @@ def observed(bag: Path, law: str, options: str, output: Path) -> tuple[Compariso
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPECTED)
-@pytest.mark.parametrize("law", BUILT_IN)
+@pytest.mark.parametrize(
+    "law", [law if law in TWO else pytest.param(law, marks=pytest.mark.long) for law in BUILT_IN]
+)
 def test_estimates_from_a_recorded_bag_have_the_expected_error(
     name: str, law: str, tmp_path: Path
 ) -> None:
@@ -163,7 +166,7 @@ def test_a_bag_of_a_robot_is_what_its_command_makes(name: str, tmp_path: Path) -
     }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ROBOTS)
 def test_velocities_after_hits_of_a_robot_are_known(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -280,7 +283,7 @@ def rulings(verdicts: list[Verdict]) -> Counter[Ruling]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTY)
-@pytest.mark.parametrize("law", ["geometric", "minimum-variance"])
+@pytest.mark.parametrize("law", TWO)
 def test_estimates_from_a_faulty_sensor_have_the_expected_error(
     name: str, law: str, tmp_path: Path
 ) -> None:

@@ -118,7 +118,7 @@ def test_the_page_has_the_commands_that_print_a_drop_height(
     assert q + u**2 / (2 * code["GRAVITY"]) == pytest.approx(1.234, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_shape_of_a_beam_follows_from_its_tip(drawn: Callable[..., Any]) -> None:
     """V never rises, and falls by four orders in half a second."""
     found = drawn("beam", "--seconds", "0.5")
@@ -127,7 +127,7 @@ def test_the_shape_of_a_beam_follows_from_its_tip(drawn: Callable[..., Any]) -> 
     assert found.events > 100
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_shaker_shows_how_its_clocks_differ(drawn: Callable[..., Any]) -> None:
     """A third of a percent of the offset, and 30 um of the part."""
     found = drawn("shaker", "--seconds", "1.5", RATE=400.0)
@@ -153,7 +153,7 @@ def test_velocity_of_an_arm_is_known_through_a_hit(drawn: Callable[..., Any]) ->
     assert np.percentile(np.abs(z), 95) < 2.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_basins_hold_two_motions(drawn: Callable[..., Any]) -> None:
     """Both motions are there, and a start has the same one whatever the grid."""
     code = example("basins")

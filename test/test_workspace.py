@@ -59,6 +59,7 @@ def colcon(folder: Path, *arguments: str, **variables: str) -> str:
     return done.stdout
 
 
+@pytest.mark.long
 def test_a_plain_colcon_build_names_the_link_that_it_needs_and_builds_both_packages(
     workspace: Path,
 ) -> None:

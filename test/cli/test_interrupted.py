@@ -23,6 +23,8 @@ from impact_observer.io.reader import BagReader
 from impact_observer.plain_text import printable_lines
 
 pytestmark = pytest.mark.slow
+OFTEN = ("simulate", "observe", "fit", "import")
+"""Commands that are interrupted in each run of the tests; the others in long ones."""
 
 
 class Profile:
@@ -78,7 +80,9 @@ def test_every_command_is_here() -> None:
     assert OFFLINE.keys() | WITH_ROS.keys() == COMMANDS.keys()
 
 
-@pytest.mark.parametrize("command", OFFLINE)
+@pytest.mark.parametrize(
+    "command", [c if c in OFTEN else pytest.param(c, marks=pytest.mark.long) for c in OFFLINE]
+)
 def test_sigterm_ends_a_command_in_order_wherever_it_comes(
     command: str,
     inputs: dict[str, str],

@@ -55,6 +55,7 @@ def test_a_shaken_mass_with_printed_times_fits_at_an_unknown_phase(tmp_path: Pat
     assert fitted("shaker", RIGS / "shaker.yaml", times_of("shaker"), tmp_path) == (0, 1.0)
 
 
+@pytest.mark.long
 def test_rebounds_that_scatter_do_not_shrink_a_motion(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
