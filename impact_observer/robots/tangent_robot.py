@@ -55,8 +55,3 @@ class TangentRobot:
 def tangent(robot: Robot, x: Vector) -> System:
     """A ``robot`` at a state, shape (2n,), in the place of a linear system."""
     return cast(System, TangentRobot(robot, x))
-
-
-def at_zero(system: System | Robot) -> System:
-    """A linear system, or a robot where its coordinates are zero."""
-    return tangent(system, np.zeros(2 * system.n)) if isinstance(system, Robot) else system
