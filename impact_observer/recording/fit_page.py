@@ -117,7 +117,7 @@ def fit_recording(
             say(f"warning: {model}: fitted to these impacts, which count twice now")
         for text in impacts.doubts:
             say(f"doubt: {text}")
-        for text in doubtful_contacts(read.system, events):
+        for text in doubtful_contacts(read, events):
             say(f"warning: {text}")
         task = FitTask(
             recording=recording,

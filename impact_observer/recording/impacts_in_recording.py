@@ -249,7 +249,7 @@ def _chosen(
     sources, refused, doubts = list[Source](), list[Stamps](), list[str]()
     ends = [(int(stamps[0]), int(stamps[-1])) for stamps, _ in arrays.values()]
     seconds = max((seconds_between(*each) for each in ends), default=_USUAL)
-    expected = expected_impacts(task.model.system, seconds)
+    expected = expected_impacts(task.model, seconds)
     for given in declared:
         chosen = ChosenSource(given, np.zeros(0, np.int64), ())
         if given.topic in arrays:

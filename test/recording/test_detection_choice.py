@@ -8,7 +8,7 @@ from signals import Scalar
 
 from impact_observer.detector import Detector, Source
 from impact_observer.errors import BagError
-from impact_observer.model import read_model
+from impact_observer.model import parse_model, read_model
 from impact_observer.recording.detection_choice import (
     ExpectedImpacts,
     choose_detection,
@@ -42,6 +42,11 @@ def detected(source: Source, stamps: Stamps, values: Vector) -> Vector:
     return np.array([(each.event.stamp - START) / 1e9 for each in found])
 
 
+BALL = """name: ball
+bodies: [{name: height, mass: 1}]
+forces: [{body: height, constant: -9.81}]
+stops: [{name: floor, body: height, limit: 0, side: below, restitution: 0.5}]
+"""
 SENSOR = Source(contact="stop", topic="/az")
 HITS = np.cumsum([0.1, *([0.04, 0.011] * 18)])
 HEIGHTS = np.resize([3.0, 1.0, 0.6], HITS.size)
@@ -132,9 +137,27 @@ def test_hits_above_a_hum_are_found() -> None:
     assert detected(chosen.source, stamps, values).size == HITS[::2].size
 
 
+def test_a_long_ringing_is_no_row_of_impacts() -> None:
+    """Between hits far apart the signal rings for longer than the shortest usual interval."""
+    hits = 0.1 + 0.15 * np.arange(12)
+    stamps, values = ringing(hits, np.resize([3.0, 1.0], hits.size), decay=0.025)
+    chosen = choose_detection(SENSOR, stamps, values, ExpectedImpacts(0.02, hits.size / 2))
+    assert detected(chosen.source, stamps, values).size == hits.size
+
+
 def test_a_model_tells_how_often_its_impacts_come() -> None:
     """The period-one motion of three_mass; a ball at rest tells nothing."""
-    found = expected_impacts(read_model("three_mass").system, 60.0)
+    found = expected_impacts(read_model("three_mass"), 60.0)
     assert found is not None
     assert 0 < found.interval < 1 / found.rate
-    assert expected_impacts(read_model("bouncing_ball").system, 10.0) is None
+    assert expected_impacts(parse_model(BALL, "ball.yaml"), 10.0) is None
+
+
+def test_the_soft_end_of_a_chatter_is_not_expected() -> None:
+    """A ball of half the speed after each bounce: the flight after a bounce of an eighth counts."""
+    start = "initial_state: {position: [1], velocity: [0]}\n"
+    found = expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0)
+    assert found is not None
+    assert found.rate == 0
+    flight = 2 * np.sqrt(2 * 9.81) / 9.81
+    assert flight / 16 < found.interval < flight / 4
