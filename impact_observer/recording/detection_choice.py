@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from impact_observer.detector import Source
 from impact_observer.detector.peak import RINGING
@@ -32,16 +33,14 @@ _NOISE = 3.0
 """Least height of a peak, in standard deviations of the noise."""
 _SILENT = 0.01
 """Least height of a peak over the largest one, where silence is exact."""
-_QUIET = 0.2, 0.2533
-"""Share of the samples that are quiet, and the largest of them in deviations of the noise."""
+_QUIET = 0.2
+"""Share of the dead times in which nothing is heard but noise."""
 _LOUD = 0.5
 """Least height of the peaks whose ringing is measured, relative to the largest one."""
-_USUAL = 0.9
-"""Quantile of the ringing after these peaks that counts."""
 _MARGIN = 1.25
 """Threshold in the ringing after a peak, over the usual ringing."""
 _LEAST_FALL = 0.25
-"""Fall of the logarithm of a ringing within the shortest usual interval, at least."""
+"""Least fall of the logarithm of a ringing within the shortest usual interval."""
 _GAP = 1.25
 """Least ratio of heights of peaks that follow each other by size, which noise has not."""
 _CLEAR = 0.75
@@ -171,7 +170,8 @@ def choose_detection(
     """
     t = (stamps - stamps[0]) / NS_PER_S
     offset = float(np.median(values))
-    noise = float(np.quantile(np.abs(values - offset), _QUIET[0])) / _QUIET[1]
+    dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
+    noise = _noise(t, np.abs(values - offset), dead)
     baseline = source.baseline
     if baseline is None:
         baseline = _BASELINE if abs(offset) > noise else 0.0
@@ -181,7 +181,6 @@ def choose_detection(
     floor = max(_NOISE * noise, _SILENT * top)
     loudest = max(_ABOVE * noise * float(np.sqrt(2 * np.log(t.size))), floor)
     interval = _INTERVAL if expected is None else expected.interval
-    dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
     usual = np.sort(height[_peaks(t, height, noise, dead, 0.0)[1]])
     usual = usual[usual.size // 2 :]  # those of noise have no gap
     has_gap = source.threshold is not None or np.any(usual[1:] > _GAP * usual[:-1])
@@ -192,7 +191,7 @@ def choose_detection(
         )
     decay = source.decay
     if decay is None:
-        decay = _decay(t, height, dead, interval, floor)
+        decay = _decay(t, height, dead, interval, floor, loudest)
     doubts = list[str]()
     threshold = source.threshold
     if threshold is None:
@@ -240,11 +239,21 @@ def _peaks(
     return np.array(begins, dtype=np.intp), np.array(tops, dtype=np.intp)
 
 
-def _decay(t: Vector, height: Vector, dead: float, interval: float, floor: float) -> float:
+def _noise(t: Vector, size: Vector, dead: float) -> float:
+    """Return the deviation of white noise whose peaks are as high as those of the quiet parts."""
+    count = int(np.clip(dead * t.size / (float(t[-1]) or 1.0), 1, t.size))
+    parts = size[: t.size // count * count].reshape(-1, count)
+    usual = special.ndtri((1 + _QUIET ** (1 / count)) / 2)  # not exceeded in a quiet part
+    return float(np.quantile(np.max(parts, axis=1), _QUIET) / usual)
+
+
+def _decay(  # noqa: PLR0917
+    t: Vector, height: Vector, dead: float, interval: float, floor: float, loudest: float
+) -> float:
     """Return the time constant of the ringing after the loudest peaks, s; 0 without ringing.
 
-    The threshold of ``PeakSensor`` stands above nine of ten ringings up to the next impact, and
-    then falls no faster than the usual ringing.
+    The threshold of ``PeakSensor`` stands above the usual ringing up to the next impact, and then
+    falls no faster than that.
     """
     _, tops = _peaks(t, height, _LOUD * float(np.max(height)), dead, 0.0)
     tops = tops[t[tops] + interval <= t[-1]]
@@ -255,13 +264,13 @@ def _decay(t: Vector, height: Vector, dead: float, interval: float, floor: float
     left = np.array(
         [[np.max(height[a:b], initial=0.0) for a, b in pairwise(each)] for each in edges.tolist()]
     )
-    share, loud = left / height[tops, None], float(np.median(height[tops]))
-    usual, middle = np.quantile(share, (_USUAL, 0.5), axis=0)
+    loud = float(np.median(height[tops]))
+    usual = np.median(left / height[tops, None], axis=0)
     rings = (_MARGIN * usual < RINGING) & (usual * loud > floor)
     decay = float(np.max(lags[rings] / np.log(RINGING / _MARGIN / usual[rings]), initial=0.0))
-    if np.sum(fades := middle * loud > floor) > 1:
-        slope, _ = np.polyfit(lags[fades], np.log(middle[fades]), 1)
-        decay = max(decay, 1 / max(-slope, _LEAST_FALL / interval))
+    if np.sum(fades := usual * loud > loudest) > 1:
+        slope, _ = np.polyfit(lags[fades], np.log(usual[fades]), 1)
+        decay = max(decay, -1 / slope) if -slope * interval > _LEAST_FALL else decay
     return decay
 
 

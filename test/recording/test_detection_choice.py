@@ -129,10 +129,11 @@ def test_noise_alone_is_an_error_that_names_the_topic(digits: int) -> None:
         choose_detection(SENSOR, stamps, np.round(values, digits), EXPECTED)
 
 
-def test_hits_above_a_hum_are_found() -> None:
+@pytest.mark.parametrize(("soft", "hum"), [(1.0, 0.2), (0.3, 0.05)])
+def test_hits_above_a_hum_are_found(soft: float, hum: float) -> None:
     """White noise of the size of this hum may be louder than the hits."""
-    stamps, values = ringing(HITS[::2], np.ones(HITS[::2].size))
-    values += 0.2 * np.sin(100 * np.pi * (stamps - START) / 1e9)
+    stamps, values = ringing(HITS[::2], np.resize([1.0, soft], HITS[::2].size))
+    values += hum * np.sin(100 * np.pi * (stamps - START) / 1e9)
     chosen = choose_detection(SENSOR, stamps, values, ExpectedImpacts(0.04, 9.5))
     assert detected(chosen.source, stamps, values).size == HITS[::2].size
 
@@ -154,7 +155,7 @@ def test_a_model_tells_how_often_its_impacts_come() -> None:
 
 
 def test_the_soft_end_of_a_chatter_is_not_expected() -> None:
-    """A ball of half the speed after each bounce: the flight after a bounce of an eighth counts."""
+    """A ball that loses half of its speed at each bounce: below an eighth nothing counts."""
     start = "initial_state: {position: [1], velocity: [0]}\n"
     found = expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0)
     assert found is not None
