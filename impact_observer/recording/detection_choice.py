@@ -2,6 +2,7 @@
 """Choice of the options with which a detector finds the impacts in a signal."""
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -114,11 +115,13 @@ def simulated_impacts(model: Model, seconds: float) -> SimulatedImpacts | None:
     return SimulatedImpacts(loud, seconds_between(NS_PER_S, impacts[-1][0]) if is_cut else seconds)
 
 
-def expected_impacts(model: Model, seconds: float) -> ExpectedImpacts | None:
-    """Simulate at most ``seconds``; return the impacts of the motion, None without any."""
+def expected_impacts(
+    model: Model, seconds: float, contacts: Collection[str]
+) -> ExpectedImpacts | None:
+    """Simulate at most ``seconds``; return the impacts of some contacts, None without any."""
     if (simulated := simulated_impacts(model, seconds)) is None:
         return None
-    stamps = [stamp for stamp, _ in simulated.impacts]
+    stamps = [stamp for stamp, names in simulated.impacts if {*contacts} & {*names}]
     intervals = np.diff(np.array(stamps[len(stamps) // 4 :]) / NS_PER_S)
     usual = (
         intervals[intervals > _SHORTEST * np.median(intervals)] if intervals.size else intervals
@@ -290,9 +293,8 @@ def _threshold(
     score = np.log(falling[:-1] / falling[1:])
     if count is not None:
         score -= _PRIOR * np.abs(np.log(number / count))
-    k = int(np.argmax(score))
-    above = int(np.sum(heights > loudest))
-    if count is not None and count / _RANGE <= above <= count * _SURPLUS:
+    k, above = int(np.argmax(score)), int(np.sum(heights > loudest))
+    if above and (count is None or count / _RANGE <= above <= count * _SURPLUS):
         k = above - 1
     doubt = ""
     if count is not None and not 1 / _RANGE <= number[k] / count <= _RANGE:

@@ -97,10 +97,9 @@ def fit_recording(
         storage_of(recording)
     given = model_text(model)
     read = parse_model(*given)
-    names = read.system.contact_names  # a robot has no system
-    if not names:
+    refuse_squares(read.system, "fit")  # a robot has no system
+    if not read.noticed:
         raise UsageError(f"{model}: no contact found; expected a stop that sensors notice")
-    refuse_squares(read.system, "fit")
     declared = read_fit_sources(sources)
     with temporary_beside(folder) as place:
         known = Task(recording, read, declared.sources, declared.form, zero, epoch)

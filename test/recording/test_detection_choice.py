@@ -146,19 +146,30 @@ def test_a_long_ringing_is_no_row_of_impacts() -> None:
     assert detected(chosen.source, stamps, values).size == hits.size
 
 
+def test_ever_softer_bounces_are_found() -> None:
+    """The ratio of the first two bounces is the largest one and parts no impacts from noise."""
+    softer = 0.75 ** np.arange(14)
+    heights = np.array([3.0, *(1.8 * softer)])
+    stamps, values = ringing(0.1 + np.cumsum([0.0, *(0.3 * softer)]), heights)
+    chosen = choose_detection(SENSOR, stamps, values, ExpectedImpacts(0.02, 0.0))
+    assert np.sum(heights > 0.2) <= detected(chosen.source, stamps, values).size <= heights.size
+
+
 def test_a_model_tells_how_often_its_impacts_come() -> None:
     """The period-one motion of three_mass; a ball at rest tells nothing."""
-    found = expected_impacts(read_model("three_mass"), 60.0)
+    model = read_model("three_mass")
+    found = expected_impacts(model, 60.0, model.noticed)
     assert found is not None
     assert 0 < found.interval < 1 / found.rate
-    assert expected_impacts(parse_model(BALL, "ball.yaml"), 10.0) is None
+    assert expected_impacts(parse_model(BALL, "ball.yaml"), 10.0, ["floor"]) is None
 
 
 def test_the_soft_end_of_a_chatter_is_not_expected() -> None:
     """A ball that loses half of its speed at each bounce: below an eighth nothing counts."""
     start = "initial_state: {position: [1], velocity: [0]}\n"
-    found = expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0)
+    found = expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0, ["floor"])
     assert found is not None
     assert found.rate == 0
+    assert expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0, []) is None
     flight = 2 * np.sqrt(2 * 9.81) / 9.81
     assert flight / 16 < found.interval < flight / 4
