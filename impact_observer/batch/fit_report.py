@@ -7,11 +7,12 @@ from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy import linalg
+from scipy import linalg, special
 
 from impact_observer import __version__
 from impact_observer.batch.identification import Identification
 from impact_observer.batch.model_edit import changes
+from impact_observer.batch.verdict import UNLIKELY
 from impact_observer.draw.reports import (
     ReportLine,
     TextTable,
@@ -77,13 +78,19 @@ def report(found: Identification) -> Iterator[ReportLine]:
     yield from remarks[:_REMARKS]
 
 
-def too_few(found: Identification) -> str:
-    """That too few stamps were fitted to judge by; empty where there are enough."""
-    fit, unknowns = found.fit, found.start.size + found.family.size
-    if fit.problem.samples or fit.residuals.size >= unknowns + _SPARE:
-        return ""
-    stamps = counted(fit.residuals.size, "stamp")
-    return f"{stamps} are few for {unknowns} unknowns, the start among them"
+def doubts(found: Identification) -> Iterator[str]:
+    """Yield why numbers may be wrong though the model fits, a line each."""
+    stamps, unknowns = found.fit.residuals.size, found.start.size + found.family.size
+    if not found.fit.problem.samples and stamps < unknowns + _SPARE:
+        yield f"{counted(stamps, 'stamp')} are few for {unknowns} unknowns, the start among them"
+    known = {} if found.prior is None else found.prior.deviation_by_name
+    for each, value in zip(found.family.parameters, found.values.tolist(), strict=True):
+        far = abs(value - each.value) / (known.get(each.name) or np.inf)
+        if special.erfc(far / np.sqrt(2)) < UNLIKELY:
+            yield (
+                f"{each.name} {value:.4g} is {far:.2g} declared deviations from {each.value:.4g}:"
+                " another number may be wrong, or many impacts are missing"
+            )
 
 
 def _warnings(found: Identification) -> Iterator[ReportLine]:
@@ -97,8 +104,8 @@ def _warnings(found: Identification) -> Iterator[ReportLine]:
     if inside := found.family.near(found.values).penetrated(found.start[: found.family.system.n]):
         contact = found.run.system.contact_names[inside[0]]
         yield ReportLine("warning", f"The start is inside the stop {contact!r}.")
-    if few := too_few(found):
-        yield ReportLine("warning", f"{few}.")
+    for doubt in doubts(found):
+        yield ReportLine("warning", f"{doubt}.")
 
 
 def _notes(found: Identification) -> Iterator[ReportLine]:

@@ -103,6 +103,12 @@ class Model:
         return self.system if self.robot is None else self.robot
 
     @property
+    def noticed(self) -> tuple[str, ...]:
+        """Names of the contacts that have a sensor."""
+        names = self.subject.contact_names
+        return tuple(each for each in names if self.sensors.get(each, True) is not None)
+
+    @property
     def has_exact_numbers(self) -> bool:
         """Whether the file declares some number to be exact, by a deviation of 0."""
         return self.uncertainty is not None and not self.uncertainty.deviations.all()

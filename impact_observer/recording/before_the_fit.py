@@ -12,8 +12,8 @@ from impact_observer.check.model_report import for_json
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io.table_times import UNITS
-from impact_observer.model import System
-from impact_observer.recording.detection_choice import impacts_from_rest
+from impact_observer.model import Model
+from impact_observer.recording.detection_choice import simulated_impacts
 from impact_observer.stamps import NS_PER_S, seconds_between
 
 _RATIO = 5.0
@@ -52,14 +52,14 @@ def check_times(checked: ModelCheck, events: Sequence[ImpactEvent], recording: P
         )
 
 
-def doubtful_contacts(system: System, events: Sequence[ImpactEvent]) -> Iterator[str]:
+def doubtful_contacts(model: Model, events: Sequence[ImpactEvent]) -> Iterator[str]:
     """Return a line on each contact that the model reaches far less or far more often.
 
-    The model starts at rest. Of a model that only its initial state moves nothing is said.
+    Of a model that only its initial state moves nothing is said.
     """
     stamps = [each.stamp for each in events]
     seconds = seconds_between(min(stamps), max(stamps))
-    simulated = impacts_from_rest(system, seconds) if system.depends_on_time else None
+    simulated = simulated_impacts(model, seconds) if model.system.depends_on_time else None
     if simulated is None or not seconds:
         return
     expected = Counter(name for _, names in simulated.impacts for name in names)

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of the options with which a detector finds the impacts in a signal."""
 
+from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from impact_observer.detector import Source
 from impact_observer.detector.peak import RINGING
 from impact_observer.errors import BagError, DynamicsError, ImpactLawError, UsageError
-from impact_observer.model import System
+from impact_observer.model import Model
 from impact_observer.plant import Plant
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Stamps, Vector
@@ -19,6 +22,8 @@ _MOST = 400
 """Impacts of the model that are simulated."""
 _SHORTEST = 0.1
 """Intervals between impacts that are shorter, relative to their median, are of one bunch."""
+_SOFT = 0.1
+"""Speed of an impact, over the fastest one of its contact, below which it is of a chatter."""
 _QUANTILE = 0.05
 """Share of the intervals of the model that may be shorter than its shortest usual interval."""
 _INTERVAL = 0.02
@@ -29,14 +34,14 @@ _NOISE = 3.0
 """Least height of a peak, in standard deviations of the noise."""
 _SILENT = 0.01
 """Least height of a peak over the largest one, where silence is exact."""
-_QUIET = 0.2, 0.2533
-"""Share of the samples that are quiet, and the largest of them in deviations of the noise."""
+_QUIET = 0.2
+"""Share of the dead times in which nothing is heard but noise."""
 _LOUD = 0.5
 """Least height of the peaks whose ringing is measured, relative to the largest one."""
-_USUAL = 0.9
-"""Quantile of the ringing after these peaks that counts."""
 _MARGIN = 1.25
 """Threshold in the ringing after a peak, over the usual ringing."""
+_LEAST_FALL = 0.25
+"""Least fall of the logarithm of a ringing within the shortest usual interval."""
 _GAP = 1.25
 """Least ratio of heights of peaks that follow each other by size, which noise has not."""
 _CLEAR = 0.75
@@ -57,11 +62,11 @@ _BASELINE = 1.0
 
 @dataclass(frozen=True, slots=True)
 class ExpectedImpacts:
-    """Impacts as a model has them, in the motion from rest that its forces make.
+    """Impacts as a model has them, when it is simulated.
 
     Attributes:
         interval: shortest usual interval between two impacts, s.
-        rate: impacts a second.
+        rate: impacts a second; 0 of a motion that no force keeps going.
     """
 
     interval: float
@@ -70,10 +75,10 @@ class ExpectedImpacts:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedImpacts:
-    """Impacts of the motion from rest that the forces of a model make.
+    """Impacts of a model, without the soft ones of a chatter.
 
     Attributes:
-        impacts: stamp, ns, and names of the contacts that switch.
+        impacts: stamp, ns, and names of the contacts.
         seconds: for which the motion was simulated, s.
     """
 
@@ -81,43 +86,50 @@ class SimulatedImpacts:
     seconds: float
 
 
-def impacts_from_rest(system: System, seconds: float) -> SimulatedImpacts | None:
+def simulated_impacts(model: Model, seconds: float) -> SimulatedImpacts | None:
     """Simulate at most ``seconds`` and some hundred impacts; None where there is no such motion.
 
-    At rest a gap may be negative, or the forcing may end.
+    The motion begins at the model's initial state, or at rest without one. There a gap may be
+    negative, or the forcing may end.
     """
-    rest = np.zeros(system.n)
-    impacts = list[tuple[int, tuple[str, ...]]]()
+    system, rest = model.system, np.zeros(model.system.n)
+    impacts, fastest = list[tuple[int, dict[str, float]]](), Counter[str]()
     try:
-        plant = Plant(system, rest, rest, epoch=NS_PER_S)
+        start = (rest if x is None else x for x in (model.position, model.velocity))
+        plant = Plant(system, *start, epoch=NS_PER_S)
         end = NS_PER_S + from_seconds(seconds)
         while len(impacts) < _MOST and (switching := plant.next_switching(end)) is not None:
             plant.cross(switching)
-            if switching.switches:
-                names = tuple(each.contact for each in switching.switches)
-                impacts.append((switching.instant.stamp, names))
+            speeds = (-system.contact_speeds(switching.before)).tolist()
+            if hit := {system.contact_names[i]: speeds[i] for i in switching.contacts}:
+                impacts.append((switching.instant.stamp, hit))
+                fastest |= hit
     except (DynamicsError, ImpactLawError, UsageError):
         return None
+    loud = [
+        (stamp, names)
+        for stamp, hit in impacts
+        if (names := tuple(name for name, v in hit.items() if v >= _SOFT * fastest[name]))
+    ]
     is_cut = len(impacts) == _MOST
-    return SimulatedImpacts(
-        impacts, seconds_between(NS_PER_S, impacts[-1][0]) if is_cut else seconds
-    )
+    return SimulatedImpacts(loud, seconds_between(NS_PER_S, impacts[-1][0]) if is_cut else seconds)
 
 
-def expected_impacts(system: System, seconds: float) -> ExpectedImpacts | None:
-    """Simulate at most ``seconds`` of a motion from rest; return its impacts, None without any."""
-    if (simulated := impacts_from_rest(system, seconds)) is None:
+def expected_impacts(
+    model: Model, seconds: float, contacts: Collection[str]
+) -> ExpectedImpacts | None:
+    """Simulate at most ``seconds``; return the impacts of some contacts, None without any."""
+    if (simulated := simulated_impacts(model, seconds)) is None:
         return None
-    stamps = [stamp for stamp, _ in simulated.impacts]
+    stamps = [stamp for stamp, names in simulated.impacts if {*contacts} & {*names}]
     intervals = np.diff(np.array(stamps[len(stamps) // 4 :]) / NS_PER_S)
     usual = (
         intervals[intervals > _SHORTEST * np.median(intervals)] if intervals.size else intervals
     )
     if not usual.size:
         return None
-    return ExpectedImpacts(
-        float(np.quantile(usual, _QUANTILE)), usual.size / float(intervals.sum())
-    )
+    rate = usual.size / float(intervals.sum()) if model.system.depends_on_time else 0.0
+    return ExpectedImpacts(float(np.quantile(usual, _QUANTILE)), rate)
 
 
 def usual_dead_time(expected: ExpectedImpacts | None) -> float:
@@ -161,7 +173,8 @@ def choose_detection(
     """
     t = (stamps - stamps[0]) / NS_PER_S
     offset = float(np.median(values))
-    noise = float(np.quantile(np.abs(values - offset), _QUIET[0])) / _QUIET[1]
+    dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
+    noise = _noise(t, np.abs(values - offset), dead)
     baseline = source.baseline
     if baseline is None:
         baseline = _BASELINE if abs(offset) > noise else 0.0
@@ -171,7 +184,6 @@ def choose_detection(
     floor = max(_NOISE * noise, _SILENT * top)
     loudest = max(_ABOVE * noise * float(np.sqrt(2 * np.log(t.size))), floor)
     interval = _INTERVAL if expected is None else expected.interval
-    dead = usual_dead_time(expected) if source.dead_time is None else source.dead_time
     usual = np.sort(height[_peaks(t, height, noise, dead, 0.0)[1]])
     usual = usual[usual.size // 2 :]  # those of noise have no gap
     has_gap = source.threshold is not None or np.any(usual[1:] > _GAP * usual[:-1])
@@ -182,12 +194,12 @@ def choose_detection(
         )
     decay = source.decay
     if decay is None:
-        decay = _decay(t, height, dead, interval, floor)
+        decay = _decay(t, height, dead, interval, floor, loudest)
     doubts = list[str]()
     threshold = source.threshold
     if threshold is None:
         _, every = _peaks(t, height, floor, dead, decay)
-        count = None if expected is None else expected.rate * float(t[-1])
+        count = expected.rate * float(t[-1]) if expected is not None and expected.rate else None
         threshold, doubt = _threshold(height[every], floor, loudest, count)
         doubts += [f"{source.contact}: {doubt}"] if doubt else []
     begins, tops = _peaks(t, height, threshold, dead, decay)
@@ -230,10 +242,21 @@ def _peaks(
     return np.array(begins, dtype=np.intp), np.array(tops, dtype=np.intp)
 
 
-def _decay(t: Vector, height: Vector, dead: float, interval: float, floor: float) -> float:
+def _noise(t: Vector, size: Vector, dead: float) -> float:
+    """Return the deviation of white noise whose peaks are as high as those of the quiet parts."""
+    count = int(np.clip(dead * t.size / (float(t[-1]) or 1.0), 1, t.size))
+    parts = size[: t.size // count * count].reshape(-1, count)
+    usual = special.ndtri((1 + _QUIET ** (1 / count)) / 2)  # not exceeded in a quiet part
+    return float(np.quantile(np.max(parts, axis=1), _QUIET) / usual)
+
+
+def _decay(  # noqa: PLR0917
+    t: Vector, height: Vector, dead: float, interval: float, floor: float, loudest: float
+) -> float:
     """Return the time constant of the ringing after the loudest peaks, s; 0 without ringing.
 
-    The threshold of ``PeakSensor`` stands above nine of ten ringings up to the next impact.
+    The threshold of ``PeakSensor`` stands above the usual ringing up to the next impact, and then
+    falls no faster than that.
     """
     _, tops = _peaks(t, height, _LOUD * float(np.max(height)), dead, 0.0)
     tops = tops[t[tops] + interval <= t[-1]]
@@ -244,9 +267,14 @@ def _decay(t: Vector, height: Vector, dead: float, interval: float, floor: float
     left = np.array(
         [[np.max(height[a:b], initial=0.0) for a, b in pairwise(each)] for each in edges.tolist()]
     )
-    usual = np.quantile(left / height[tops, None], _USUAL, axis=0)
-    rings = (_MARGIN * usual < RINGING) & (usual * np.median(height[tops]) > floor)
-    return float(np.max(lags[rings] / np.log(RINGING / _MARGIN / usual[rings]), initial=0.0))
+    loud = float(np.median(height[tops]))
+    usual = np.median(left / height[tops, None], axis=0)
+    rings = (_MARGIN * usual < RINGING) & (usual * loud > floor)
+    decay = float(np.max(lags[rings] / np.log(RINGING / _MARGIN / usual[rings]), initial=0.0))
+    if np.sum(fades := usual * loud > loudest) > 1:
+        slope, _ = np.polyfit(lags[fades], np.log(usual[fades]), 1)
+        decay = max(decay, -1 / slope) if -slope * interval > _LEAST_FALL else decay
+    return decay
 
 
 def _threshold(
@@ -265,9 +293,8 @@ def _threshold(
     score = np.log(falling[:-1] / falling[1:])
     if count is not None:
         score -= _PRIOR * np.abs(np.log(number / count))
-    k = int(np.argmax(score))
-    above = int(np.sum(heights > loudest))
-    if count is not None and count / _RANGE <= above <= count * _SURPLUS:
+    k, above = int(np.argmax(score)), int(np.sum(heights > loudest))
+    if above and (count is None or count / _RANGE <= above <= count * _SURPLUS):
         k = above - 1
     doubt = ""
     if count is not None and not 1 / _RANGE <= number[k] / count <= _RANGE:

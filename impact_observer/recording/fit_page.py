@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_observer.batch.fit_report import numbers_told, too_few
+from impact_observer.batch.fit_report import doubts, numbers_told
 from impact_observer.check.model_check import check_model
 from impact_observer.compare.bag_export import impact_rows
 from impact_observer.compare.table_files import write_table
@@ -97,10 +97,9 @@ def fit_recording(
         storage_of(recording)
     given = model_text(model)
     read = parse_model(*given)
-    names = read.system.contact_names  # a robot has no system
-    if not names:
+    refuse_squares(read.system, "fit")  # a robot has no system
+    if not read.noticed:
         raise UsageError(f"{model}: no contact found; expected a stop that sensors notice")
-    refuse_squares(read.system, "fit")
     declared = read_fit_sources(sources)
     with temporary_beside(folder) as place:
         known = Task(recording, read, declared.sources, declared.form, zero, epoch)
@@ -117,7 +116,7 @@ def fit_recording(
             say(f"warning: {model}: fitted to these impacts, which count twice now")
         for text in impacts.doubts:
             say(f"doubt: {text}")
-        for text in doubtful_contacts(read.system, events):
+        for text in doubtful_contacts(read, events):
             say(f"warning: {text}")
         task = FitTask(
             recording=recording,
@@ -150,17 +149,18 @@ def _in_one_file(given: ModelText, model: Model) -> ModelText:
 
 def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list[ImpactEstimate]:
     """Write table and picture; return the estimates of impacts."""
-    system = fit.model.system
+    system, word = fit.model.system, "fits" if fit.fits else "does not fit"
     with BagReader(folder / "smoothed") as reader:
         zero = TimeZero(impacts.zero, FILE_ZERO) if impacts.zero else time_zero(reader)
-        write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], lambda *_: None, zero))
+        (rows,) = impact_rows(reader, [_IMPACTS], lambda *_: None, zero)
+        words = {**rows.words, "model": [word] * rows.stamps.size}
+        write_table(folder / "impacts.csv", [rows._replace(words=words)])
         hits = impact_estimates(reader)[_IMPACTS]
         states = reader.observer_states(_STATES, system.coordinates)
     deviations = states.deviations[:, : system.n]
     motion = PlottedMotion(system.coordinates, states.stamps, states.q, deviations)
     units = system.unit, unit_of("J", system.unit)
-    title = f"{system.name} {'fits' if fit.fits else 'does not fit'}"
-    signals = _signals(impacts)
+    title, signals = f"{system.name} {word}", _signals(impacts)
     picture = recording_picture(signals, motion, hits, zero=zero.stamp, units=units, title=title)
     save(picture, folder / "motion.png")
     return hits
@@ -271,7 +271,7 @@ def _doubts(fit: FittedRecording) -> Iterator[str]:
     """Return what makes the numbers or the motion doubtful, the worst first."""
     found = fit.identification
     if found is not None and not fit.failure:
-        yield from filter(None, [too_few(found), *found.verdict.reasons])
+        yield from (*doubts(found), *found.verdict.reasons)
     for cause in [] if found is None else [each for each in found.causes if each.fits][:1]:
         yield (
             f"with {cause.name} {cause.value:.4g} instead of {cause.given:.4g} the model fits: if"

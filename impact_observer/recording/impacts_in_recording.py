@@ -63,7 +63,7 @@ class Task:
     @property
     def contact(self) -> str:
         """The contact of a sensor that nobody declared."""
-        return self.model.subject.contact_names[0]
+        return self.model.noticed[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,8 +249,9 @@ def _chosen(
     sources, refused, doubts = list[Source](), list[Stamps](), list[str]()
     ends = [(int(stamps[0]), int(stamps[-1])) for stamps, _ in arrays.values()]
     seconds = max((seconds_between(*each) for each in ends), default=_USUAL)
-    expected = expected_impacts(task.model.system, seconds)
     for given in declared:
+        own = task.model.noticed if len(declared) < len(task.model.noticed) else (given.contact,)
+        expected = expected_impacts(task.model, seconds, own)
         chosen = ChosenSource(given, np.zeros(0, np.int64), ())
         if given.topic in arrays:
             chosen = choose_detection(given, *arrays[given.topic], expected)

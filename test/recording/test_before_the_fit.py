@@ -33,8 +33,8 @@ def test_a_contact_that_the_model_hardly_ever_reaches_is_named(
     right: str, wrong: str, events: list[ImpactEvent]
 ) -> None:
     """A limit in mm, or a force in another unit."""
-    assert not [*doubtful_contacts(parse_model(RIG, "rig.yaml").system, events)]
-    odd = parse_model(RIG.replace(right, wrong), "rig.yaml").system
+    assert not [*doubtful_contacts(parse_model(RIG, "rig.yaml"), events)]
+    odd = parse_model(RIG.replace(right, wrong), "rig.yaml")
     (line,) = doubtful_contacts(odd, events)
     assert line.startswith("stop: ")
 
@@ -43,7 +43,7 @@ def test_a_contact_that_the_model_reaches_far_too_often_is_named(
     events: list[ImpactEvent],
 ) -> None:
     """Of twenty impacts the recording has one."""
-    (line,) = doubtful_contacts(read_model("two_mass").system, [events[0], events[-1]])
+    (line,) = doubtful_contacts(read_model("two_mass"), [events[0], events[-1]])
     assert line.startswith("stop: ")
 
 

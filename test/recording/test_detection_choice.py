@@ -8,7 +8,7 @@ from signals import Scalar
 
 from impact_observer.detector import Detector, Source
 from impact_observer.errors import BagError
-from impact_observer.model import read_model
+from impact_observer.model import parse_model, read_model
 from impact_observer.recording.detection_choice import (
     ExpectedImpacts,
     choose_detection,
@@ -42,6 +42,11 @@ def detected(source: Source, stamps: Stamps, values: Vector) -> Vector:
     return np.array([(each.event.stamp - START) / 1e9 for each in found])
 
 
+BALL = """name: ball
+bodies: [{name: height, mass: 1}]
+forces: [{body: height, constant: -9.81}]
+stops: [{name: floor, body: height, limit: 0, side: below, restitution: 0.5}]
+"""
 SENSOR = Source(contact="stop", topic="/az")
 HITS = np.cumsum([0.1, *([0.04, 0.011] * 18)])
 HEIGHTS = np.resize([3.0, 1.0, 0.6], HITS.size)
@@ -124,17 +129,47 @@ def test_noise_alone_is_an_error_that_names_the_topic(digits: int) -> None:
         choose_detection(SENSOR, stamps, np.round(values, digits), EXPECTED)
 
 
-def test_hits_above_a_hum_are_found() -> None:
+@pytest.mark.parametrize(("soft", "hum"), [(1.0, 0.2), (0.3, 0.05)])
+def test_hits_above_a_hum_are_found(soft: float, hum: float) -> None:
     """White noise of the size of this hum may be louder than the hits."""
-    stamps, values = ringing(HITS[::2], np.ones(HITS[::2].size))
-    values += 0.2 * np.sin(100 * np.pi * (stamps - START) / 1e9)
+    stamps, values = ringing(HITS[::2], np.resize([1.0, soft], HITS[::2].size))
+    values += hum * np.sin(100 * np.pi * (stamps - START) / 1e9)
     chosen = choose_detection(SENSOR, stamps, values, ExpectedImpacts(0.04, 9.5))
     assert detected(chosen.source, stamps, values).size == HITS[::2].size
 
 
+def test_a_long_ringing_is_no_row_of_impacts() -> None:
+    """Between hits far apart the signal rings for longer than the shortest usual interval."""
+    hits = 0.1 + 0.15 * np.arange(12)
+    stamps, values = ringing(hits, np.resize([3.0, 1.0], hits.size), decay=0.025)
+    chosen = choose_detection(SENSOR, stamps, values, ExpectedImpacts(0.02, hits.size / 2))
+    assert detected(chosen.source, stamps, values).size == hits.size
+
+
+def test_ever_softer_bounces_are_found() -> None:
+    """The ratio of the first two bounces is the largest one and parts no impacts from noise."""
+    softer = 0.75 ** np.arange(14)
+    heights = np.array([3.0, *(1.8 * softer)])
+    stamps, values = ringing(0.1 + np.cumsum([0.0, *(0.3 * softer)]), heights)
+    chosen = choose_detection(SENSOR, stamps, values, ExpectedImpacts(0.02, 0.0))
+    assert np.sum(heights > 0.2) <= detected(chosen.source, stamps, values).size <= heights.size
+
+
 def test_a_model_tells_how_often_its_impacts_come() -> None:
     """The period-one motion of three_mass; a ball at rest tells nothing."""
-    found = expected_impacts(read_model("three_mass").system, 60.0)
+    model = read_model("three_mass")
+    found = expected_impacts(model, 60.0, model.noticed)
     assert found is not None
     assert 0 < found.interval < 1 / found.rate
-    assert expected_impacts(read_model("bouncing_ball").system, 10.0) is None
+    assert expected_impacts(parse_model(BALL, "ball.yaml"), 10.0, ["floor"]) is None
+
+
+def test_the_soft_end_of_a_chatter_is_not_expected() -> None:
+    """A ball that loses half of its speed at each bounce: below an eighth nothing counts."""
+    start = "initial_state: {position: [1], velocity: [0]}\n"
+    found = expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0, ["floor"])
+    assert found is not None
+    assert found.rate == 0
+    assert expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0, []) is None
+    flight = 2 * np.sqrt(2 * 9.81) / 9.81
+    assert flight / 16 < found.interval < flight / 4

@@ -169,6 +169,8 @@ def test_a_model_that_does_not_fit_is_marked_and_everything_is_written(
     recording = typed_times(run, rig).name
     assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 1
     assert "restitution.stop" in capsys.readouterr().out
+    with (rig / "out" / "impacts.csv").open() as file:
+        assert {row["model"] for row in csv.DictReader(file)} == {"does not fit"}
     assert {path.name for path in (rig / "out").iterdir()} == FILES
     assert read_model(rig / "out" / "fitted.yaml").misfit
 
@@ -188,6 +190,20 @@ def test_numbers_that_times_do_not_tell_are_counted(
     words = [typed_times(run, rig).name, "rig.yaml", "-o", "out", "--epoch", "1"]
     assert main(["fit", *words]) == 0
     assert "2 of these 3 numbers" in capsys.readouterr().out
+
+
+def test_a_value_far_from_its_prior_is_doubted(
+    run: Run, rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A gap that is six declared deviations away, though the model fits."""
+    text = MODEL.replace("RESTITUTION", UNKNOWN)
+    (rig / "rig.yaml").write_text(
+        text.replace("limit: 0.5", "limit: {value: 0.59, deviation: 0.015}")
+    )
+    recording = typed_times(run, rig).name
+    assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("doubt: gap.stop") for line in lines)
 
 
 def test_a_known_epoch_keeps_the_phase_and_no_start_is_needed(run: Run, rig: Path) -> None:
