@@ -296,59 +296,71 @@ class Flights:
                 none = np.zeros_like(rows.tried)
                 rows = rows._replace(paid=np.zeros_like(rows.paid), tried=none)
             return rows, *nothing
+        depth = self._depths(rows, leg, start, dips)
+        stays, before = self._paid(rows, leg, dips, depth)
+        enough = np.where(dips.is_over, self.numbers.shallow, self.numbers.confident)
+        again = dips.was_before & ((rows.tried[dips.h] >> dips.contact & 1) == 1)
+        deaf = np.full(self.m, -np.inf) if leg.deaf is None else leg.deaf
+        is_dead = dips.began[:, 1] < deaf[dips.contact]
+        log_missed = np.where(is_dead, 0.0, self.log_missed[dips.contact])
+        tried = (depth > enough) & ~again & (log_missed > -np.inf) & may_miss
+        tried &= before > stays.logw.max() + self.numbers.log_kept
+        marked = np.zeros_like(rows.tried)
+        lasts = (tried | again) & ~dips.is_over
+        np.bitwise_or.at(marked, dips.h[lasts], 1 << dips.contact[lasts])
+        stays = stays._replace(tried=marked)
+        if not tried.any():
+            return stays, *nothing
+        logw = before + special.log_ndtr(depth) + log_missed
+        spawned, since = [], []
+        for i in np.unique(dips.contact[tried]).tolist():
+            own = np.flatnonzero(tried & (dips.contact == i))
+            h = dips.h[own]
+            parents = rows.take(h)._replace(
+                logw=logw[own], paid=np.zeros((h.size, self.m)), tried=np.zeros_like(h)
+            )
+            about = (*dips.began[own].T, dips.zero[own])
+            after, when, states = self._after_missed(i, leg, parents, start[h], about)
+            each = zip(
+                when.tolist(), depth[own].tolist(), is_dead[own].tolist(), states, strict=True
+            )
+            spawned.append(with_missed(after, [Missed(i, leg.t + s, *rest) for s, *rest in each]))
+            since.append(when)
+        return stays, Hypotheses.joined(spawned), np.concatenate(since)
+
+    def _depths(self, rows: Hypotheses, leg: Leg, start: Vector, dips: Dips) -> Vector:
+        """How deep dips are in standard deviations of state, noise and clock, shape (D,)."""
         at = start[dips.h]
         lowest = self.flown(rows.take(dips.h), leg, at, dips.lowest - at)
         guard = self.guard(dips.contact, lowest.x)
         seen = spread_of(lowest, self.ladders, guard.by)
         seen = np.hypot(seen, guard.gamma * self.clock(dips.contact, lowest.c)) + 1e-300
-        depth = -dips.gap / seen
-        is_named = np.isin(dips.contact, leg.named) & ~dips.is_over
+        return -dips.gap / seen
+
+    def _paid(
+        self, rows: Hypotheses, leg: Leg, dips: Dips, depth: Vector
+    ) -> tuple[Hypotheses, Vector]:
+        """The hypotheses after they have paid for ``dips``, whose ``depth`` has shape (D,).
+
+        Returns:
+            The hypotheses; and the log probability of each dip's own before that dip, shape (D,).
+        """
         cost = np.maximum(special.log_ndtr(-depth), _LEAST)
+        is_named = np.isin(dips.contact, leg.named) & ~dips.is_over
         logw, paid, sunk = rows.logw.copy(), np.zeros_like(rows.paid), rows.sunk.copy()
-        before = logw[dips.h].copy()
-        each = zip(dips.h.tolist(), dips.contact.tolist(), strict=True)
-        for k, (own, contact) in enumerate(each):
-            owed = float(cost[k]) - (rows.paid[own, contact] if dips.was_before[k] else 0.0)
+        before = np.empty_like(depth)
+        for k, (own, i) in enumerate(zip(dips.h.tolist(), dips.contact.tolist(), strict=True)):
+            known = rows.paid[own, i] if dips.was_before[k] else 0.0
             before[k] = logw[own]
             if is_named[k]:  # what it has paid so far is given back
-                logw[own] -= rows.paid[own, contact] if dips.was_before[k] else 0.0
+                logw[own] -= known
                 continue
-            logw[own] += min(owed, 0.0)
+            logw[own] += min(cost[k] - known, 0.0)
             if dips.is_over[k] or leg.s - dips.began[k, 1] > self.numbers.patience / self.rate:
                 sunk[own] = min(sunk[own], cost[k])
             if not dips.is_over[k]:
-                paid[own, contact] = min(cost[k], 0.0)
-        enough = np.where(dips.is_over, self.numbers.shallow, self.numbers.confident)
-        again = dips.was_before & ((rows.tried[dips.h] >> dips.contact & 1) == 1)
-        log_missed = self.log_missed[dips.contact]
-        if leg.deaf is not None:
-            log_missed = np.where(dips.began[:, 1] < leg.deaf[dips.contact], 0.0, log_missed)
-        tried = (depth > enough) & ~again & (log_missed > -np.inf) & may_miss
-        tried &= before > logw.max() + self.numbers.log_kept
-        marked = np.zeros_like(rows.tried)
-        lasts = (tried | again) & ~dips.is_over
-        np.bitwise_or.at(marked, dips.h[lasts], 1 << dips.contact[lasts])
-        stays = rows._replace(logw=logw, paid=paid, sunk=sunk, tried=marked)
-        if not tried.any():
-            return stays, *nothing
-        which = np.flatnonzero(tried)
-        parents = rows.take(dips.h[which])
-        log = before[which] + special.log_ndtr(depth[which]) + log_missed[which]
-        none = np.zeros_like(parents.tried)
-        parents = parents._replace(logw=log, paid=np.zeros_like(parents.paid), tried=none)
-        spawned, since = [], []
-        for i in np.unique(dips.contact[which]).tolist():
-            own = np.flatnonzero(dips.contact[which] == i)
-            near = (*dips.began[which][own].T, dips.zero[which][own])
-            parts = parents.take(own), start[dips.h[which]][own], near
-            after, when, states = self._after_missed(i, leg, *parts)
-            deaf = -np.inf if leg.deaf is None else leg.deaf[i]
-            dead = (dips.began[which][own][:, 1] < deaf).tolist()
-            about = zip(when.tolist(), depth[which][own].tolist(), dead, states, strict=True)
-            missed = [Missed(i, leg.t + s, *each) for s, *each in about]
-            spawned.append(with_missed(after, missed))
-            since.append(when)
-        return stays, Hypotheses.joined(spawned), np.concatenate(since)
+                paid[own, i] = min(cost[k], 0.0)
+        return rows._replace(logw=logw, paid=paid, sunk=sunk), before
 
     def dips(self, rows: Hypotheses, leg: Leg, start: Vector) -> Dips | None:
         """Where gaps are below zero from ``start`` to the end of the leg; None if nowhere."""
