@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.arrays_of_states import StateArrays
+from impact_observer.bank.balance import ImpactState
 from impact_observer.dynamics import mechanism_of
+from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.errors import UsageError
 from impact_observer.events import (
     REVISED,
@@ -617,7 +619,8 @@ class Observer:
         """The estimate of an impact that a ``verdict`` just received applies or inserts.
 
         That of a rejected event, or of an inserted impact that was none, has no numbers. Returns
-        None for a release, and where the event is in the past that is kept no longer.
+        None for a release, where the event is in the past that is kept no longer, and where the
+        verdict is outdated.
 
         Raises:
             ImpactLawError: the impact law has no solution.
@@ -636,25 +639,29 @@ class Observer:
             return ImpactEstimate(stamp, verdict.contact, verdict.ruling, verdict.sequence)
         if verdict.ruling is Ruling.INSERTED:
             missed = self._verdicts.missed(stamp, hit)
-            balance = self.law.missed_balance(missed, timeline.entry_at(stamp).belief)
-            return ImpactEstimate(stamp, names[hit], verdict.ruling, 0, *balance.rows[0].tolist())
+            return None if missed is None else self._inserted(stamp, missed, timeline)
         hits = {hit if i == reported else i for i, kind in switches if kind is not Kind.OPEN}
         if found is None or hit not in hits:  # a release
             return None
-        before, after, closed = found[0], found[1].belief, found[0].closed
+        before = found[0]
         change = ContactChange(
             Elapsed(stamp - timeline.zero),
-            closed,
+            before.closed,
             tuple(sorted(hits)),
-            closed,
+            before.closed,
             stamp,
             verdict.sequence,
             seconds_between(before.since, stamp),
         )
         prediction = timeline.prediction(before)
-        balance = self.law.impact_balance(change, before.belief, prediction, after)
-        own, stamp = balance.rows[change.hit.index(hit)], stamp - from_seconds(balance.early)
-        return ImpactEstimate(stamp, names[hit], verdict.ruling, verdict.sequence, *own.tolist())
+        made = self.law.impact_balance(change, before.belief, prediction, found[1].belief)
+        return None if made is None else _applied(verdict, names[hit], change.hit.index(hit), made)
+
+    def _inserted(self, stamp: int, missed: ImpactState, timeline: Timeline) -> ImpactEstimate:
+        """The estimate of an impact that was inserted at ``stamp`` (ns)."""
+        (own,) = self.law.missed_balance(missed, timeline.entry_at(stamp).belief).rows.tolist()
+        name = self._names[missed.contacts[0]]
+        return ImpactEstimate(stamp, name, Ruling.INSERTED, 0, *own)
 
     def silence(self, stamp: int) -> str:
         """The warning that predicted impacts have not come up to ``stamp`` (ns), or nothing.
@@ -772,6 +779,12 @@ class Observer:
     def missing(self) -> int:
         """How many sequence numbers are missing since the first received."""
         return self._numbers.missing
+
+
+def _applied(verdict: Verdict, contact: str, row: int, made: ImpactBalance) -> ImpactEstimate:
+    """The estimate of an impact of a ``contact`` by a row of the balance of its event."""
+    stamp, own = verdict.stamp - from_seconds(made.early), made.rows[row].tolist()
+    return ImpactEstimate(stamp, contact, verdict.ruling, verdict.sequence, *own)
 
 
 def require_epoch(system: System, epoch: int) -> None:

@@ -149,11 +149,10 @@ class EventVerdicts:
         self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in verdicts)
         return notes, tuple(verdicts)
 
-    def missed(self, stamp: int, contact: int) -> ImpactState:
-        """The state at the missed impact that a verdict of a ``stamp`` (ns) inserts."""
-        state = self._issued[_insertion(stamp, contact)].state
-        assert state is not None, "an insertion"
-        return state
+    def missed(self, stamp: int, contact: int) -> ImpactState | None:
+        """The state at a missed impact of a ``stamp`` (ns); None where it is inserted no more."""
+        note = self._issued.get(_insertion(stamp, contact))
+        return None if note is None else note.state
 
     def _verdict_of(self, note: Note, *, revises: bool) -> Verdict:
         """A ``note`` in words."""

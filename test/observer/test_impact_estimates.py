@@ -10,6 +10,7 @@ import pytest
 from systems import EPOCH, run, sample, system
 from true_impacts import numbers, true_impacts
 
+from benchmarks.rigs import fast
 from impact_observer.events import (
     ImpactEstimate,
     ImpactEvent,
@@ -106,6 +107,20 @@ def test_a_missed_impact_is_estimated_where_it_is_inserted() -> None:
     assert abs(inserted.stamp - left_out.stamp) < 1000
     assert np.all(np.abs(values[0] - truth) < 1e-6)
     assert np.all(deviations < 1e-3)
+
+
+def test_an_inserted_impact_has_an_estimate_until_it_is_withdrawn() -> None:
+    """Of verdicts on a drill that are asked for after all events."""
+    model, sensor = parse_model(fast(), "drill"), SensorModel(jitter=1e-4, missed=0.2, spurious=5)
+    plant = run(model.system, *model.initial_state(), seconds=5)
+    events = reported(model.system, plant, 1, sensor)
+    observer = make_observer(model, Options(law="minimum-variance"))
+    made = [each for event in events for each in observer.receive(event)]
+    withdrawn = {e.stamp for e in made if e.ruling is Ruling.REJECTED and not e.sequence}
+    inserted = [each for each in made if each.ruling is Ruling.INSERTED]
+    untold = {each.stamp for each in inserted if observer.impact(each) is None}
+    assert untold
+    assert untold <= withdrawn
 
 
 def test_every_reported_impact_has_one_estimate_or_is_rejected() -> None:

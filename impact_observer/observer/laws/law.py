@@ -94,8 +94,10 @@ class Law(ABC):
 
     def impact_balance(
         self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief
-    ) -> ImpactBalance:
+    ) -> ImpactBalance | None:
         """The balance of the contacts that hit; by default that of the estimate's own speeds.
+
+        None where the belief ``after`` the event has them hit no more.
 
         The impact is ``change.flown`` seconds after the belief ``before``, from which the
         ``prediction`` goes, and just before the belief ``after``.

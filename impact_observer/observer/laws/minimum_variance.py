@@ -234,7 +234,7 @@ class MinimumVariance(Law):
 
     def impact_balance(
         self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief
-    ) -> ImpactBalance:
+    ) -> ImpactBalance | None:
         """The balance of the contacts that hit, with deviations, at the estimated instant."""
         del before, prediction
         assert after.bank is not None, "a belief of this law"
@@ -248,7 +248,7 @@ class MinimumVariance(Law):
                     states.append(note.state)
                     weights.append(weight)
                     break
-        return self._balance(mixed(states, np.array(weights)), after.bank)
+        return self._balance(mixed(states, np.array(weights)), after.bank) if states else None
 
     def missed_balance(self, missed: ImpactState, belief: Belief) -> ImpactBalance:
         """That of the hypothesis which inserts the impact."""
