@@ -81,7 +81,7 @@ def report(found: Identification) -> Iterator[ReportLine]:
 def doubts(found: Identification) -> Iterator[str]:
     """Yield why numbers may be wrong though the model fits, a line each."""
     stamps, unknowns = found.fit.residuals.size, found.start.size + found.family.size
-    if not found.fit.problem.samples and stamps < unknowns + _SPARE:
+    if not found.fit.problem.samples and unknowns < stamps < unknowns + _SPARE:
         yield f"{counted(stamps, 'stamp')} are few for {unknowns} unknowns, the start among them"
     known = {} if found.prior is None else found.prior.deviation_by_name
     for each, value in zip(found.family.parameters, found.values.tolist(), strict=True):

@@ -13,6 +13,7 @@ from impact_observer.batch.motion_fit import BatchProblem, MotionFit, fitted
 from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.sample_rows import flight_samples
 from impact_observer.batch.verdict import FitVerdict, verdict_on
+from impact_observer.draw.reports import counted
 from impact_observer.errors import DynamicsError, IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.model.contact_sensors import NO_SENSORS, ContactErrors, ContactSensors
@@ -204,6 +205,7 @@ def identify(
                 show=progress,
             )
             causes = () if found.verdict.fits else _causes(found.fit, progress)
+            found = _judged(found)
     except DynamicsError as error:
         raise IdentificationError(str(error)) from None
     turned = np.array([is_phase(name) for name in family.names], dtype=bool)
@@ -216,6 +218,17 @@ def identify(
         honest = honest.published(fits=False)
         honest = replace(honest, sizes=honest.sizes._replace(clock=shift))
     return Identification(family, run, found, values, honest.covariance, prior, causes)
+
+
+def _judged(found: Explanation) -> Explanation:
+    """Return the explanation; it does not fit where no stamp is left to judge by."""
+    fit = found.fit
+    stamps, unknowns = fit.residuals.size, fit.x.shape[1] + fit.problem.family.size
+    if fit.problem.samples or stamps > unknowns:
+        return found
+    reason = f"{counted(stamps, 'stamp')} cannot contradict {unknowns} unknowns, the start too"
+    verdict = replace(found.verdict, reasons=(reason, *found.verdict.reasons))
+    return replace(found, verdict=verdict)
 
 
 def prior_root(family: ParametricFamily, prior: ParameterUncertainty | None) -> Matrix:

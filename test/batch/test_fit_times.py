@@ -9,6 +9,7 @@ from systems import EPOCH, run, sample
 
 from impact_observer import Options, fit, make_observer
 from impact_observer.errors import UsageError
+from impact_observer.model import parse_model
 from impact_observer.resources import shared
 from impact_observer.stamps import seconds_between
 
@@ -39,6 +40,19 @@ def test_fit_finds_parameters_impacts_and_states() -> None:
     np.testing.assert_allclose(motion.states, truth.states[1:], atol=1e-5)
     assert np.all(motion.deviations > 0)
     assert len(found.plot().axes) == 6
+
+
+def test_a_model_fits_only_where_stamps_are_left_to_judge_by() -> None:
+    """Start and restitution of a ball are three numbers, which three stamps cannot contradict."""
+    ball = parse_model(
+        "{name: ball, bodies: [{name: h, mass: 1}], forces: [{body: h, constant: -9.81}],"
+        " stops: [{name: floor, body: h, limit: 0, side: below,"
+        " restitution: {value: 0.8, deviation: 0.05}}]}",
+        "ball",
+    )
+    flight = 2 * np.sqrt(2 * 0.4 / 9.81) * 0.84 ** np.arange(9)
+    times = 0.286 + np.cumsum(np.append(0.0, flight))
+    assert [fit(times[:count], ball).fits for count in (2, 3, 6, 10)] == [False, False, True, True]
 
 
 def test_an_observer_runs_through_seconds_by_contact() -> None:
