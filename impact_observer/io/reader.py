@@ -80,7 +80,7 @@ class TopicInfo:
     def of(cls, topic: str, connections: Sequence[Connection]) -> "TopicInfo":
         """A topic with all its connections."""
         offers = [
-            Quality.recorded(qos, interfaces.usual_quality(topic).depth)
+            Quality.of_publisher(qos, interfaces.usual_quality(topic).depth)
             for connection in connections
             if isinstance(connection.ext, ConnectionExtRosbag2)
             for qos in connection.ext.offered_qos_profiles

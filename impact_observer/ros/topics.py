@@ -63,25 +63,10 @@ def qos_profile(quality: Quality) -> QoSProfile:
     )
 
 
-def offered_quality(profile: QoSProfile, depth: int = 10) -> Quality:
-    """The quality of service of a publisher.
-
-    Args:
-        profile: profile of the publisher; unspecified policies count as reliable and volatile.
-        depth: depth of a publisher in another process, whose history is not visible.
-    """
-    kept = {HistoryPolicy.KEEP_ALL: 0, HistoryPolicy.KEEP_LAST: max(profile.depth, 1)}
-    return Quality(
-        reliable=profile.reliability != ReliabilityPolicy.BEST_EFFORT,
-        transient_local=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-        depth=kept.get(profile.history, depth),
-    )
-
-
 def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality:
     """The quality of service that all publishers of a topic offer; at least one publisher."""
     depth = usual_quality(topic).depth
-    return Quality.common(offered_quality(each.qos_profile, depth) for each in publishers)
+    return Quality.common(Quality.of_publisher(each.qos_profile, depth) for each in publishers)
 
 
 class PolledGroup(CallbackGroup):
