@@ -131,7 +131,7 @@ class Messages:
         self, classes: Callable[[str], AnyMessage], floats: Callable[[Vector], object]
     ) -> None:
         """``classes`` finds a class by the name of its type; ``floats`` makes a ``float64[]``."""
-        self._classes = classes
+        self.classes = classes
         self._floats = floats
         for kind in _TYPES:  # takes a fifth of a second, which the first event must not
             _mirrored(kind)
@@ -140,7 +140,7 @@ class Messages:
         """``stamp`` (ns, or 0 for "unknown") as ``builtin_interfaces/Time``."""
         _check_stamp(field, stamp, earliest=0)
         seconds, nanoseconds = divmod(int(stamp), NS_PER_S)
-        return self._classes(interfaces.TIME)(sec=seconds, nanosec=nanoseconds)
+        return self.classes(interfaces.TIME)(sec=seconds, nanosec=nanoseconds)
 
     def clock(self, stamp: int) -> AnyMessage:
         """``stamp`` (ns) as ``rosgraph_msgs/Clock``."""
@@ -181,7 +181,7 @@ class Messages:
 
     def joint_state_of(self, estimate: AnyMessage) -> AnyMessage:
         """Returns the state in an ``ObserverState`` as ``sensor_msgs/JointState``."""
-        return self._classes(interfaces.JOINT_STATE)(
+        return self.classes(interfaces.JOINT_STATE)(
             header=estimate.header,
             name=estimate.name,
             position=estimate.position,
@@ -189,14 +189,9 @@ class Messages:
             effort=self._floats(np.empty(0)),
         )
 
-    def positions(self, stamp: int, names: Sequence[str], values: ArrayLike) -> AnyMessage:
-        """Numbers by name as the positions of ``sensor_msgs/JointState``, without velocities."""
-        return self._message(interfaces.JOINT_STATE, header=stamp, name=names, position=values)
-
-    def forces(self, stamp: int, forces: Mapping[str, float]) -> AnyMessage:
-        """Forces of inputs by name, N, as ``sensor_msgs/JointState`` with efforts only."""
-        names, values = [*forces], [*forces.values()]
-        return self._message(interfaces.JOINT_STATE, header=stamp, name=names, effort=values)
+    def joints(self, stamp: int, names: Sequence[str], **columns: ArrayLike) -> AnyMessage:
+        """Numbers of joints as ``sensor_msgs/JointState``: position, velocity, effort, or some."""
+        return self._message(interfaces.JOINT_STATE, header=stamp, name=names, **columns)
 
     def bound(self, estimate: Estimate) -> AnyMessage:
         """The certified bound of ``estimate``'s V, as an error without coordinates."""
@@ -207,7 +202,7 @@ class Messages:
 
     def misfit(self, estimate: Estimate, node: str) -> AnyMessage:
         """The misfit of an estimate, or that there is none, as the ``node`` diagnoses it."""
-        status = self._classes(interfaces.DIAGNOSTIC)(
+        status = self.classes(interfaces.DIAGNOSTIC)(
             level=1 if estimate.misfit else 0,
             name=f"{node}: impacts",
             message=estimate.misfit or EXPLAINED,
@@ -219,7 +214,7 @@ class Messages:
     def _header(self, field: str, stamp: int) -> AnyMessage:
         """A header with a stamp, which must not be 0."""
         _check_stamp(field, stamp)
-        return self._classes(interfaces.HEADER)(stamp=self.time(stamp), frame_id="")
+        return self.classes(interfaces.HEADER)(stamp=self.time(stamp), frame_id="")
 
     def _message(self, type_name: str, **values: Any) -> AnyMessage:  # noqa: ANN401 (by the type)
         """A message of ``values`` by field: stamps in ns, arrays; arrays left out are empty."""
@@ -240,7 +235,7 @@ class Messages:
             elif of_type == "float64":
                 value = _number(field, value)
             made[name] = bool(value) if of_type == "bool" else value
-        return self._classes(type_name)(**made)
+        return self.classes(type_name)(**made)
 
 
 @cache

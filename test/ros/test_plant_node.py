@@ -120,7 +120,7 @@ def test_a_plant_waits_for_its_inputs_and_ends_without_them(tmp_path: Path) -> N
         spinner.settle()
         for stamp, value in live_rig.samples():
             if stamp <= end:
-                forces.publish(ros_messages().forces(stamp, {"motor": value}))
+                forces.publish(ros_messages().joints(stamp, ["motor"], effort=[value]))
                 spinner.executor.spin_once(timeout_sec=0.0)  # no more wait than the topic keeps
         with pytest.raises(InputTimeoutError, match="no sample of motor for"):
             spinner.until(lambda: False)
