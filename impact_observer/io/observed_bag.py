@@ -198,13 +198,13 @@ def sample_stamps(
     if rate is None:
         if truth is None or not reader.topics[truth].count:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
-        return np.unique(reader.stamps(truth))
+        return np.unique([*reader.all_stamps([truth])])
     if not (used := used_of(events)):
         return np.empty(0, dtype=np.int64)
     start = max(epoch or used[0].epoch or used[0].stamp, reader.low)
     last = max(each.stamp for each in used)
     if truth:
-        last = max(last, int(reader.stamps(truth).max(initial=0)))
+        last = max([last, *reader.all_stamps([truth])])
     return grid(start, last, rate)
 
 

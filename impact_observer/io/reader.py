@@ -16,7 +16,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypeVar, final
 
-import numpy as np
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
@@ -43,7 +42,6 @@ from impact_observer.io.messages import (
     read_event,
     read_impact_estimate,
     read_joint_state,
-    read_stamp,
     read_verdict,
 )
 from impact_observer.io.state_arrays import RecordedStates, state_arrays
@@ -55,7 +53,7 @@ from impact_observer.io.typestores import (
 )
 from impact_observer.plain_text import say
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Estimate, Stamps
+from impact_observer.states import Estimate
 
 _Value = TypeVar("_Value")
 _STEP = 1024
@@ -323,7 +321,7 @@ class BagReader:
         return self._values(topic, interfaces.EVENT_VERDICT, lambda each: read_verdict(each)[0])
 
     def impact_estimates(self, topic: str) -> Iterator[ImpactEstimate]:
-        """The estimates of impacts of a topic, in bag order."""
+        """The estimates of impacts of a topic, in bag order; rejected ones without numbers."""
         return self._values(topic, interfaces.IMPACT_ESTIMATE, read_impact_estimate)
 
     def model_text(self) -> str | None:
@@ -332,15 +330,6 @@ class BagReader:
             return None
         texts = deque(self._values(topic, interfaces.STRING, attrgetter("data")), maxlen=1)
         return texts[0] if texts else None
-
-    def stamps(self, topic: str) -> Stamps:
-        """The stamps of all joint states of a topic, ns, in bag order."""
-
-        def stamp_of(message: AnyMessage) -> int:
-            return read_stamp("JointState.header.stamp", message.header.stamp)
-
-        stamps = self._values(topic, interfaces.JOINT_STATE, stamp_of)
-        return np.fromiter(stamps, dtype=np.int64)
 
     def first_state(self, topics: Iterable[str]) -> JointState | None:
         """The first state on the first of some topics that has one; None without a state."""
