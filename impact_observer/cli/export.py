@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from impact_observer.cli.arguments import PART, add_shared
+from impact_observer.cli.progress import Progress
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
@@ -54,7 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Export a bag and print how many rows were written."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_export import (
         error_rows,
         event_rows,

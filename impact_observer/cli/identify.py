@@ -16,6 +16,8 @@ from impact_observer.cli.arguments import (
     add_shared,
     observer_options,
 )
+from impact_observer.cli.progress import Progress
+from impact_observer.draw.reports import listed
 from impact_observer.errors import BagError, UsageError
 from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import say
@@ -80,8 +82,6 @@ def _identified(
     """The fit to a bag, its model's text and its time zero; doubts are lines for ``tell``."""
     from impact_observer.batch.fit_report import refuse_scales_of_parts
     from impact_observer.batch.identification import identify
-    from impact_observer.cli.progress import Progress
-    from impact_observer.draw.reports import listed
     from impact_observer.io.bag_part import TimeZero, assumed_epoch, read_impacts_part
     from impact_observer.io.live_inputs import with_recorded
     from impact_observer.io.measured_samples import joint_topics, samples_in

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from impact_observer.cli.arguments import PART, add_shared, names
+from impact_observer.cli.progress import Progress
 from impact_observer.errors import ModelError, UnfitBagError
 from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import say
@@ -27,7 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw a bag."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.draw.motion_picture import chosen_coordinates, motion_picture
     from impact_observer.draw.pictures import save
     from impact_observer.draw.recorded_motion import read_motion

@@ -24,6 +24,7 @@ from impact_observer.cli.arguments import (
     parsed,
     positive,
 )
+from impact_observer.cli.progress import Progress
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.options import SETTLED, Option, Value
@@ -132,7 +133,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SweepError: the sweep could not go on, or some cases have failed; the file has the others.
     """
-    from impact_observer.cli.progress import Progress
     from impact_observer.sweep.engine import run_cases
     from impact_observer.sweep.summary import (
         groups_of,
