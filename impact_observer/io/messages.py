@@ -244,6 +244,16 @@ def bag_messages() -> Messages:
     return Messages(typestore().types.__getitem__, np.array)
 
 
+def read(kind: type[_Value], message: AnyMessage) -> _Value:
+    """The value of a ``kind`` in its message, or in a message with the same fields.
+
+    Raises:
+        MessageError: its stamp is not after 0, a number is not finite or unknown, or there is not
+            one number for each name.
+    """
+    return kind(**_values(kind, message))
+
+
 def read_event(message: AnyMessage) -> ImpactEvent:
     """The event in a message.
 
@@ -259,7 +269,7 @@ def read_event(message: AnyMessage) -> ImpactEvent:
     ):
         if number > most:
             raise MessageError(f"{number} {what}; expected at most {most}")
-    return _read(ImpactEvent, message)
+    return read(ImpactEvent, message)
 
 
 def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
@@ -268,18 +278,9 @@ def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
     Raises:
         MessageError: its stamp is not after 0, the ruling is unknown, or a number is not finite.
     """
-    verdict = _read(Verdict, message)
+    verdict = read(Verdict, message)
     revises = verdict.reason.startswith(REVISED)
     return verdict._replace(revises=revises), float(message.latency)
-
-
-def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
-    """The estimate of an impact in a message.
-
-    Raises:
-        MessageError: as of :func:`read_verdict`.
-    """
-    return _read(ImpactEstimate, message)
 
 
 def read_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
@@ -297,16 +298,6 @@ def read_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
     values["covariance"] = values["covariance"].reshape(side, side)
     parameters = tuple(zip(names, *learned, strict=True))
     return tuple(message.name), Estimate(**values, parameters=parameters)
-
-
-def read_joint_state(message: AnyMessage) -> JointState:
-    """The state in a ``sensor_msgs/JointState``, or in a message with the same fields.
-
-    Raises:
-        MessageError: its stamp is not after 0, a number is not finite, or there is not one
-            position and one velocity for each name.
-    """
-    return _read(JointState, message)
 
 
 def read_efforts(message: AnyMessage) -> list[LiveSample]:
@@ -341,11 +332,6 @@ def read_stamp(field: str, time: AnyMessage, earliest: int = 1) -> int:
     return stamp
 
 
-def _read(kind: type[_Value], message: AnyMessage) -> _Value:
-    """The value in a message."""
-    return kind(**_values(kind, message))
-
-
 def _values(kind: type, message: AnyMessage) -> dict[str, Any]:
     """The fields of a value that are in its message."""
     known, values = _fields(_TYPES[kind]), dict[str, Any]()
@@ -359,7 +345,7 @@ def _values(kind: type, message: AnyMessage) -> dict[str, Any]:
             count = _count(name, len(value), {"name": message.name})
             value = frozen(_numbers(field, value, count))
         elif of_type == interfaces.CONTACT_SWITCH + "[]":
-            value = tuple(_read(Switch, each) for each in value)
+            value = tuple(read(Switch, each) for each in value)
         elif of_type == "float64":
             value = _number(field, value)
         elif name in _KINDS:

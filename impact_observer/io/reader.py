@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,10 +39,9 @@ from impact_observer.io.messages import (
     AnyMessage,
     JointState,
     MessageError,
+    read,
     read_estimate,
     read_event,
-    read_impact_estimate,
-    read_joint_state,
     read_verdict,
 )
 from impact_observer.io.state_arrays import RecordedStates, state_arrays
@@ -322,7 +322,7 @@ class BagReader:
 
     def impact_estimates(self, topic: str) -> Iterator[ImpactEstimate]:
         """The estimates of impacts of a topic, in bag order; rejected ones without numbers."""
-        return self._values(topic, interfaces.IMPACT_ESTIMATE, read_impact_estimate)
+        return self._values(topic, interfaces.IMPACT_ESTIMATE, partial(read, ImpactEstimate))
 
     def model_text(self) -> str | None:
         """The text of the last model published in the bag; None without a model."""
@@ -334,7 +334,7 @@ class BagReader:
     def first_state(self, topics: Iterable[str]) -> JointState | None:
         """The first state on the first of some topics that has one; None without a state."""
         for topic in topics:
-            for state in self._values(topic, self._state_type(topic), read_joint_state):
+            for state in self._values(topic, self._state_type(topic), partial(read, JointState)):
                 return state
         return None
 
@@ -367,8 +367,8 @@ class BagReader:
 
         for topic in chosen:
             type_name = self._state_type(topic)
-            read = read_estimate if type_name == interfaces.OBSERVER_STATE else _as_estimate
-            states = counted(self._values(topic, type_name, read))
+            value_of = read_estimate if type_name == interfaces.OBSERVER_STATE else _as_estimate
+            states = counted(self._values(topic, type_name, value_of))
             found[topic] = state_arrays(states, names, f"{self.path}: {topic}")
         return found
 
@@ -391,9 +391,9 @@ class BagReader:
         return self.topics[topic]
 
     def _values(
-        self, topic: str, type_name: str, read: Callable[[AnyMessage], _Value]
+        self, topic: str, type_name: str, value_of: Callable[[AnyMessage], _Value]
     ) -> Iterator[_Value]:
-        """The messages of a topic of the given type, each converted by ``read``."""
+        """The values of the messages of a topic of the given type."""
         if (found := self._topic(topic).type) != type_name:
             raise UnfitBagError(f"{self.path}: {topic} is {found}; expected {type_name}")
         messages = self.messages(topic)
@@ -402,7 +402,7 @@ class BagReader:
             position = 0
             try:
                 for position, (_, message) in enumerate(messages):  # noqa: B007 (for the error)
-                    yield read(message)
+                    yield value_of(message)
             except MessageError as error:
                 raise BagError(f"{self.path}: {topic}, message {position}: {error}") from error
 
@@ -482,7 +482,7 @@ class BagReader:
 
 def _as_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
     """A joint state as an estimate that knows all before it."""
-    state = read_joint_state(message)
+    state = read(JointState, message)
     return state.names, Estimate(state.stamp, "", state.q, state.u, last_event=state.stamp)
 
 
