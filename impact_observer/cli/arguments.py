@@ -241,6 +241,7 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "topics": {"metavar": "TOPIC", "nargs": "+", "help": "these topics only (default: all)"},
     "output": {"metavar": "BAG", "type": Path, "required": True, "help": "the folder to make"},
+    "file": {"metavar": "FILE", "type": Path, "required": True, "help": "the file to make"},
     "plot": {"metavar": "FILE", "type": Path, "help": "a picture to make: PNG, SVG or PDF"},
     "json": {"action": "store_true", "help": "print the results as JSON"},
     "time-zero": {
@@ -279,7 +280,8 @@ SHARED: dict[str, dict[str, Any]] = {
     },
 }
 """How ``add_argument`` adds the arguments that several commands have."""
-_FLAGS = {"bag": ("bag",), "rig": ("model",), "output": ("-o", "--output")}
+_OUTPUT = ("-o", "--output")
+_FLAGS = {"bag": ("bag",), "rig": ("model",), "output": _OUTPUT, "file": _OUTPUT}
 """Flags of arguments that are not called by their names."""
 PART = ("start", "duration")
 """The part of a bag that a command reads."""

@@ -11,7 +11,6 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
@@ -55,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "%(prog)s MODEL -o FILE [--laws LAW,...] [--runs N] [--jitter S,...] [options]"
     add = parser.add_argument
     add_shared(parser, "rig", "seed", "plot", "json", "measurements", seed="of the first run (0)")
-    add("-o", "--output", metavar="FILE", type=Path, required=True, help="a .parquet file to make")
+    add_shared(parser, "file", file="a .parquet file to make")
     laws = "of the observers, or all that are installed (default geometric)"
     add("--laws", metavar="LAW,...", default="geometric", help=laws)
     add(
