@@ -95,8 +95,8 @@ def value_of(option: Option) -> Callable[[str], Value]:
         return True
 
     if option.unit == "ns":
-        return _argument(_nanoseconds, allows, f"{_limits(option)} s")
-    return _argument(partial(parsed, option), allows, option.expected)
+        return argument(_nanoseconds, allows, f"{_limits(option)} s")
+    return argument(partial(parsed, option), allows, option.expected)
 
 
 def parsed(option: Option, text: str) -> Value:
@@ -168,7 +168,7 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(","))
 
 
-def _argument(
+def argument(
     read: Callable[[str], _T], allows: Callable[[_T], bool], expected: str
 ) -> Callable[[str], _T]:
     """An argparse type: of what ``read`` makes, the values that it ``allows``."""
@@ -182,17 +182,15 @@ def _argument(
     return value
 
 
-number = _argument(float, math.isfinite, "a number")
-positive = _argument(float, lambda x: 0 < x < math.inf, "a number above 0")
-not_negative = _argument(float, lambda x: 0 <= x < math.inf, "a number, 0 or more")
-count = _argument(_whole, lambda n: n > 0, "a whole number, 1 or more")
-seed = _argument(_whole, lambda n: n >= 0, "a whole number, 0 or more")
-rate = _argument(Fraction, lambda hertz: hertz > 0, "a number of Hz above 0")
-names = _argument(_names, all, "NAME,NAME,...")
-stamp = _argument(
-    _nanoseconds, lambda ns: ns > 0, "seconds above zero, with nine decimals at most"
-)
-stamp_or_zero = _argument(_nanoseconds, lambda ns: ns >= 0, "seconds, with nine decimals at most")
+number = argument(float, math.isfinite, "a number")
+positive = argument(float, lambda x: 0 < x < math.inf, "a number above 0")
+not_negative = argument(float, lambda x: 0 <= x < math.inf, "a number, 0 or more")
+count = argument(_whole, lambda n: n > 0, "a whole number, 1 or more")
+seed = argument(_whole, lambda n: n >= 0, "a whole number, 0 or more")
+rate = argument(Fraction, lambda hertz: hertz > 0, "a number of Hz above 0")
+names = argument(_names, all, "NAME,NAME,...")
+stamp = argument(_nanoseconds, lambda ns: ns > 0, "seconds above zero, with nine decimals at most")
+stamp_or_zero = argument(_nanoseconds, lambda ns: ns >= 0, "seconds, with nine decimals at most")
 
 SHARED: dict[str, dict[str, Any]] = {
     "bag": {"metavar": "BAG", "type": Path, "help": "a bag's folder, or a bare file"},
