@@ -23,7 +23,7 @@ from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Contact, Forcing, Model, System, parse_model, read_model
 from impact_observer.model.force_samples import Samples
-from impact_observer.model.grounds import Grounds, motion_of
+from impact_observer.model.grounds import Grounds
 from impact_observer.model.system import moving_system
 from impact_observer.observer import Observer, ReplicaLaw, law_named
 from impact_observer.observer.belief import Belief
@@ -44,6 +44,15 @@ def state_matrix(model: System) -> Array:
     """``A`` of ``d(q, u)/dt = A (q, u)``."""
     stiff, damped = (np.linalg.solve(model.M, part) for part in (model.K, model.C))
     return np.block([[np.zeros_like(stiff), np.eye(model.n)], [-stiff, -damped]])
+
+
+def motion_of(k: int, harmonics: Sequence[tuple[int, float, float, float]]) -> Forcing:
+    """Displacements of ``k`` grounds by ``harmonics``: ground, amplitude, frequency and phase."""
+    axes = [size * np.eye(k)[ground] for ground, size, _, _ in harmonics]
+    frequency, phase = np.array([each[2:] for each in harmonics]).reshape(-1, 2).T
+    amplitude = np.reshape(axes, (len(harmonics), k))
+    cosine, sine = amplitude.T * np.cos(phase), -amplitude.T * np.sin(phase)
+    return Forcing(np.zeros(k), frequency, cosine.T, sine.T)
 
 
 def examples(count: int) -> settings:

@@ -139,12 +139,6 @@ class Samples:
         )
         return np.asarray(self.time[first:last])
 
-    def mapped(self, T: Matrix) -> "Samples":
-        """The samples of ``T f``, for ``T`` of shape (r, n)."""
-        if self.hold in HOLDS:
-            return Samples(self.time, self.force @ T.T, self.hold)
-        return Samples.of_jets(self.time, self.jets @ T.T)
-
     def derivative(self) -> "Samples":
         """The rate of change of the samples."""
         return Samples.of_jets(self.time, np.concatenate([self.jets[1:], 0 * self.jets[:1]]))

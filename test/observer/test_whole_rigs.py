@@ -13,6 +13,7 @@ from systems import (
     distance,
     examples,
     largest_rise,
+    motion_of,
     numbers,
     passes_eigenvalue_test,
     switched,
@@ -23,7 +24,7 @@ from systems import (
 
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
-from impact_observer.model.grounds import Grounds, LiveNames, motion_of
+from impact_observer.model.grounds import Grounds, LiveNames
 from impact_observer.model.live_signals import connected
 from impact_observer.model.rebounds.power_law import PowerLaw
 from impact_observer.model.system import moving_system
