@@ -53,13 +53,12 @@ def _floats(values: Vector) -> "array[float]":
 
 def qos_profile(quality: Quality) -> QoSProfile:
     """The profile of ``quality``, to offer or to request."""
-    reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
-    durability = (
-        DurabilityPolicy.TRANSIENT_LOCAL if quality.transient_local else DurabilityPolicy.VOLATILE
-    )
-    history = HistoryPolicy.KEEP_LAST if quality.depth else HistoryPolicy.KEEP_ALL
+    offered = quality.offered()  # its policies have the numbers of those of rclpy
     return QoSProfile(
-        history=history, depth=quality.depth, reliability=reliability, durability=durability
+        history=HistoryPolicy(offered.history.value),
+        depth=offered.depth,
+        reliability=ReliabilityPolicy(offered.reliability.value),
+        durability=DurabilityPolicy(offered.durability.value),
     )
 
 
