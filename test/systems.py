@@ -46,15 +46,6 @@ def state_matrix(model: System) -> Array:
     return np.block([[np.zeros_like(stiff), np.eye(model.n)], [-stiff, -damped]])
 
 
-def motion_of(k: int, harmonics: Sequence[tuple[int, float, float, float]]) -> Forcing:
-    """Displacements of ``k`` grounds by ``harmonics``: ground, amplitude, frequency and phase."""
-    axes = [size * np.eye(k)[ground] for ground, size, _, _ in harmonics]
-    frequency, phase = np.array([each[2:] for each in harmonics]).reshape(-1, 2).T
-    amplitude = np.reshape(axes, (len(harmonics), k))
-    cosine, sine = amplitude.T * np.cos(phase), -amplitude.T * np.sin(phase)
-    return Forcing(np.zeros(k), frequency, cosine.T, sine.T)
-
-
 def examples(count: int) -> settings:
     """Settings with the same ``count`` examples on every machine; a part of them on request."""
     part = int(os.environ.get("FEWER_EXAMPLES", "1"))  # as ./dev test sets it
@@ -254,13 +245,17 @@ def systems(
     )
 
 
+def ground_motion(draw: st.DrawFn) -> Forcing:
+    """A harmonic of each of two grounds."""
+    size, omega = np.array([[draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0))] for _ in "ab"]).T
+    return Forcing(np.zeros(2), omega, np.diag(size * np.cos(1)), np.diag(-size * np.sin(1)))
+
+
 @st.composite
 def moving_systems(draw: st.DrawFn, /, **others: object) -> System:
     """As ``systems``, the stops on grounds that move by harmonics and by samples."""
     base, k = draw(systems(**others)), 2  # type: ignore[arg-type]
-    motion = motion_of(
-        k, [(j, draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0)), 1.0) for j in range(k)]
-    )
+    motion = ground_motion(draw)
     if draw(st.booleans()):
         jets = draw(vectors(4 * 3 * k, -1.0, 1.0)).reshape(4, 3, k)
         motion = motion.added(Forcing.of_samples(Samples.of_jets(np.arange(3.0), jets)))

@@ -33,13 +33,7 @@ from impact_observer.io.interfaces import EVENTS, STATES, Quality
 from impact_observer.io.messages import read, read_estimate
 from impact_observer.io.reader import BagReader
 from impact_observer.model import read_model
-from impact_observer.observer import (
-    Observer,
-    Options,
-    initial_state,
-    law_named,
-    make_observer,
-)
+from impact_observer.observer import Observer, Options, initial_state, law_named, make_observer
 from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
 from impact_observer.ros.observer_node import MOST_DUE, ObserverNode, due_stamps

@@ -165,9 +165,7 @@ def test_late_listener_gets_events_and_model_until_the_end(sample_bag: Path) -> 
 
 
 def test_what_cannot_be_played_is_named(
-    tmp_path: Path,
-    sample_bag: Path,
-    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path, sample_bag: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A foreign type and a publisher beside are warnings; the recorded clock is left out."""
     foreign = tmp_path / "foreign"
