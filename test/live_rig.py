@@ -114,7 +114,8 @@ def bag(path: Path) -> Path:
     ]
     messages += [(e.stamp, interfaces.IMPACTS.topic, make.event(e)) for e in events]
     for at, (stamp, value) in zip(arrivals(), samples(), strict=True):
-        messages.append((at, interfaces.FORCING.topic, make.forces(stamp, {"motor": value})))
+        sample = make.joints(stamp, ["motor"], effort=[value])
+        messages.append((at, interfaces.FORCING.topic, sample))
     for stamp, x in zip(stamps.tolist(), states, strict=True):
         state = make.joint_state(JointState(stamp, names, x[:n], x[n:]))
         messages.append((stamp, interfaces.PLANT_JOINT_STATES.topic, state))

@@ -23,7 +23,7 @@ from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Contact, Forcing, Model, System, parse_model, read_model
 from impact_observer.model.force_samples import Samples
-from impact_observer.model.grounds import Grounds, motion_of
+from impact_observer.model.grounds import Grounds
 from impact_observer.model.system import moving_system
 from impact_observer.observer import Observer, ReplicaLaw, law_named
 from impact_observer.observer.belief import Belief
@@ -245,13 +245,17 @@ def systems(
     )
 
 
+def ground_motion(draw: st.DrawFn) -> Forcing:
+    """A harmonic of each of two grounds."""
+    size, omega = np.array([[draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0))] for _ in "ab"]).T
+    return Forcing(np.zeros(2), omega, np.diag(size * np.cos(1)), np.diag(-size * np.sin(1)))
+
+
 @st.composite
 def moving_systems(draw: st.DrawFn, /, **others: object) -> System:
     """As ``systems``, the stops on grounds that move by harmonics and by samples."""
     base, k = draw(systems(**others)), 2  # type: ignore[arg-type]
-    motion = motion_of(
-        k, [(j, draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0)), 1.0) for j in range(k)]
-    )
+    motion = ground_motion(draw)
     if draw(st.booleans()):
         jets = draw(vectors(4 * 3 * k, -1.0, 1.0)).reshape(4, 3, k)
         motion = motion.added(Forcing.of_samples(Samples.of_jets(np.arange(3.0), jets)))

@@ -4,10 +4,12 @@
 import argparse
 import math
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import fields
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from impact_observer.errors import UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
@@ -17,8 +19,7 @@ if TYPE_CHECKING:
 
 _ELSEWHERE = ("law", "history", "ensemble")
 """Options that subcommands replace by own arguments, or that are of no use with a bag."""
-
-
+_T = TypeVar("_T")
 _MOST_DIGITS, _DECIMALS = 18, 9
 """Digits of a whole number, and decimals of a stamp in seconds."""
 
@@ -89,21 +90,13 @@ def _limits(option: Option) -> str:
 def value_of(option: Option) -> Callable[[str], Value]:
     """The argparse type of an option, which reads a value and checks its range."""
 
-    def value(text: str) -> Value:
-        is_stamp = option.unit == "ns"
-        try:
-            if is_stamp:
-                read: Value = 0 if text == "0" else stamp(text)
-            else:
-                read = parsed(option, text)
-            option.check(read)
-        except ValueError:
-            expected = option.metavar if option.type == "string[]" else option.expected
-            expected = f"{_limits(option)} s" if is_stamp else expected
-            raise argparse.ArgumentTypeError(f"{text} found; expected {expected}") from None
-        return read
+    def allows(value: Value) -> bool:
+        option.check(value)
+        return True
 
-    return value
+    if option.unit == "ns":
+        return argument(_nanoseconds, allows, f"{_limits(option)} s")
+    return argument(partial(parsed, option), allows, option.expected)
 
 
 def parsed(option: Option, text: str) -> Value:
@@ -117,13 +110,9 @@ def parsed(option: Option, text: str) -> Value:
         if text.lower() not in words:
             raise ValueError(text)
         return words[text.lower()]
-    if option.type == "string[]":
-        return names(text)
-    if option.type == "string":
-        return text
-    if option.type == "int" and not (text.isascii() and text.isdigit()):
-        raise ValueError(text)
-    return int(text) if option.type == "int" else float(text)
+    readers: dict[str, Callable[[str], Value]]
+    readers = {"string[]": names, "string": str, "int": _whole, "double": float}
+    return readers[option.type](text)
 
 
 def observer_options(args: argparse.Namespace, law: str) -> Options:
@@ -160,89 +149,48 @@ def table_form(args: argparse.Namespace) -> "TableForm":
     return TableForm(**{name: value for name, value in given.items() if value is not None})
 
 
-def positive(text: str) -> float:
-    """A finite number above zero."""
-    value = number(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text} found; expected a number above 0")
-    return value
-
-
-def rate(text: str) -> Fraction:
-    """An exact number of Hz above zero, as a decimal or a fraction."""
-    try:
-        value = Fraction(text)
-    except (ValueError, ZeroDivisionError):
-        value = Fraction(0)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text} found; expected a number of Hz above 0")
-    return value
-
-
-def stamp(text: str) -> int:
-    """A stamp given in seconds, at least 1 ns, with up to nine exact decimals."""
-    whole, _, part = text.partition(".")
-    is_short = len(whole) <= _MOST_DIGITS and len(part) <= _DECIMALS
-    if not (text.isascii() and whole.isdigit() and (part + "0").isdigit() and is_short):
-        raise argparse.ArgumentTypeError(
-            f"{text} found; expected seconds with at most nine decimals, such as 1.5"
-        )
-    nanoseconds = int(whole) * 1_000_000_000 + int(part.ljust(_DECIMALS, "0"))
-    if nanoseconds == 0:
-        raise argparse.ArgumentTypeError("0 found; stamps start above zero")
-    return nanoseconds
-
-
-def stamp_or_zero(text: str) -> int:
-    """A stamp in seconds, or 0."""
-    return 0 if text.strip("0.") == "" and "0" in text else stamp(text)
-
-
-def not_negative(text: str) -> float:
-    """A finite number, not below zero."""
-    value = number(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text} found; expected a number, 0 or more")
-    return value
-
-
-def count(text: str) -> int:
-    """A whole number above zero."""
-    return _whole(text, 1)
-
-
-def seed(text: str) -> int:
-    """A whole number, not below zero."""
-    return _whole(text, 0)
-
-
-def _whole(text: str, least: int) -> int:
-    is_whole = text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS
-    if not (is_whole and int(text) >= least):
-        digits = f", of at most {_MOST_DIGITS} digits" if len(text) > _MOST_DIGITS else ""
-        expected = f"a whole number, {least} or more{digits}"
-        raise argparse.ArgumentTypeError(f"{text} found; expected {expected}")
+def _whole(text: str) -> int:
+    """Digits alone, not too many."""
+    if not (text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS):
+        raise ValueError(text)
     return int(text)
 
 
-def names(text: str) -> tuple[str, ...]:
-    """One or more names with commas between them."""
-    listed = tuple(name.strip() for name in text.split(","))
-    if not all(listed):
-        raise argparse.ArgumentTypeError(f"{text!r} found; expected NAME,NAME,...")
-    return listed
+def _nanoseconds(text: str) -> int:
+    """Seconds with up to nine exact decimals, in ns."""
+    whole, _, part = text.partition(".")
+    if len(part) > _DECIMALS:
+        raise ValueError(text)
+    return _whole(whole) * 1_000_000_000 + _whole(part.ljust(_DECIMALS, "0"))
 
 
-def number(text: str) -> float:
-    """A finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} found; expected a number")
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(","))
+
+
+def argument(
+    read: Callable[[str], _T], allows: Callable[[_T], bool], expected: str
+) -> Callable[[str], _T]:
+    """An argparse type: of what ``read`` makes, the values that it ``allows``."""
+
+    def value(text: str) -> _T:
+        with suppress(ValueError, ZeroDivisionError):
+            if allows(found := read(text)):
+                return found
+        raise argparse.ArgumentTypeError(f"{text} found; expected {expected}")
+
     return value
 
+
+number = argument(float, math.isfinite, "a number")
+positive = argument(float, lambda x: 0 < x < math.inf, "a number above 0")
+not_negative = argument(float, lambda x: 0 <= x < math.inf, "a number, 0 or more")
+count = argument(_whole, lambda n: n > 0, "a whole number, 1 or more")
+seed = argument(_whole, lambda n: n >= 0, "a whole number, 0 or more")
+rate = argument(Fraction, lambda hertz: hertz > 0, "a number of Hz above 0")
+names = argument(_names, all, "NAME,NAME,...")
+stamp = argument(_nanoseconds, lambda ns: ns > 0, "seconds above zero, with nine decimals at most")
+stamp_or_zero = argument(_nanoseconds, lambda ns: ns >= 0, "seconds, with nine decimals at most")
 
 SHARED: dict[str, dict[str, Any]] = {
     "bag": {"metavar": "BAG", "type": Path, "help": "a bag's folder, or a bare file"},
@@ -291,6 +239,7 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "topics": {"metavar": "TOPIC", "nargs": "+", "help": "these topics only (default: all)"},
     "output": {"metavar": "BAG", "type": Path, "required": True, "help": "the folder to make"},
+    "file": {"metavar": "FILE", "type": Path, "required": True, "help": "the file to make"},
     "plot": {"metavar": "FILE", "type": Path, "help": "a picture to make: PNG, SVG or PDF"},
     "json": {"action": "store_true", "help": "print the results as JSON"},
     "time-zero": {
@@ -329,7 +278,8 @@ SHARED: dict[str, dict[str, Any]] = {
     },
 }
 """How ``add_argument`` adds the arguments that several commands have."""
-_FLAGS = {"bag": ("bag",), "rig": ("model",), "output": ("-o", "--output")}
+_OUTPUT = ("-o", "--output")
+_FLAGS = {"bag": ("bag",), "rig": ("model",), "output": _OUTPUT, "file": _OUTPUT}
 """Flags of arguments that are not called by their names."""
 PART = ("start", "duration")
 """The part of a bag that a command reads."""

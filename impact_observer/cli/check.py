@@ -10,6 +10,7 @@ import argparse
 import json
 
 from impact_observer.cli.arguments import add_shared
+from impact_observer.cli.progress import Progress
 from impact_observer.plain_text import say
 
 
@@ -21,7 +22,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print what a bag holds and what is wrong with it."""
     from impact_observer.check.bag_check import check_bag
-    from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
 
     model = None if args.model is None else read_model(args.model)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import add_observer_arguments, add_shared
+from impact_observer.draw.reports import counted, print_facts
 from impact_observer.errors import BagError, UsageError
 from impact_observer.options import Options
 from impact_observer.plain_text import say
@@ -35,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check a model, and ask what the impacts in a bag determine."""
     from impact_observer.batch.determined import determined_json, determined_lines
-    from impact_observer.draw.reports import print_facts
     from impact_observer.model import read_model
 
     if args.bag is None and (given := [name for name in _OF_BAGS if getattr(args, name)]):
@@ -57,7 +57,6 @@ def _checked(read: "Model", *, as_json: bool) -> dict[str, object]:
     """The check of a model for ``--json``; otherwise it is printed."""
     from impact_observer.check.model_check import check_model
     from impact_observer.check.model_report import for_json, print_values
-    from impact_observer.draw.reports import counted
     from impact_observer.model import System
     from impact_observer.model.multibody import report_on
 

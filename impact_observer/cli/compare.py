@@ -25,6 +25,7 @@ from impact_observer.cli.arguments import (
     installed_laws,
     observer_options,
 )
+from impact_observer.cli.progress import Progress
 from impact_observer.errors import UsageError
 from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import printable, say
@@ -100,7 +101,6 @@ def _check_source(args: argparse.Namespace) -> None:
 
 def _simulate(options: "Sequence[Options]", args: argparse.Namespace) -> "BagComparison":
     """Simulate a model, and observe the run with each of the ``options``."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.compare.simulated_comparison import compare_simulated
     from impact_observer.model import read_model
 
@@ -144,7 +144,6 @@ def _compare_one(
 ) -> "BagComparison":
     """Compare one bag, and run observers with these ``options`` on the bag."""
     from impact_observer.cli.observe import fitted_to
-    from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_comparison import compare_bag
     from impact_observer.io.bag_part import read_part
     from impact_observer.io.reader import BagReader

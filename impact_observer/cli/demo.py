@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 from impact_observer.cli.arguments import positive
+from impact_observer.cli.progress import Progress
 from impact_observer.plain_text import say
 
 GOAL = 1e-2
@@ -50,7 +51,6 @@ def run(args: argparse.Namespace) -> int:
     Returns:
         0 if the geometric law ends at ``V/V0 <= GOAL``, 1 otherwise.
     """
-    from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
     from impact_observer.ros.session import require_ros
 

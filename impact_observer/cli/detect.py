@@ -15,15 +15,16 @@ import re
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import PART, TABLE, add_shared, table_form
+from impact_observer.cli.progress import Progress
+from impact_observer.draw.reports import TextTable, print_table
+from impact_observer.errors import UsageError
 from impact_observer.output_files import PICTURES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from impact_observer.cli.progress import Progress
     from impact_observer.detector import Source
     from impact_observer.detector.bag_detection import BagDetection
-    from impact_observer.draw.reports import TextTable
     from impact_observer.model import Model
 
 _TEXTS = {
@@ -72,9 +73,6 @@ def _option(name: str) -> str:
 
 def run(args: argparse.Namespace) -> int:
     """Write a bag with the impacts detected in another one, or in a signal."""
-    from impact_observer.cli.progress import Progress
-    from impact_observer.draw.reports import print_table
-    from impact_observer.errors import UsageError
     from impact_observer.io.bag_files import SIGNAL_FILES
     from impact_observer.model import read_model
 
@@ -106,7 +104,6 @@ def _in_bag(
 ) -> "BagDetection":
     """Detect in a bag."""
     from impact_observer.detector.bag_detection import detect_bag
-    from impact_observer.errors import UsageError
     from impact_observer.io.reader import BagReader
     from impact_observer.io.tables import TableForm
     from impact_observer.recording.sources_file import read_fit_sources
@@ -135,7 +132,6 @@ def _in_signal(
 ) -> "BagDetection":
     """Detect in a signal; print which stamps were given to it."""
     from impact_observer.detector.signal_detection import detect_signal, pulses_in
-    from impact_observer.errors import UsageError
     from impact_observer.io.bag_part import BagPart
     from impact_observer.io.signals import read_signal
     from impact_observer.recording.sources_file import read_fit_sources
@@ -191,7 +187,6 @@ def _sources(
     ``columns`` are those of a signal with their topics; None for a bag.
     """
     from impact_observer.detector import Source
-    from impact_observer.errors import UsageError
 
     names = (*_TEXTS, *_NUMBERS)
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
@@ -218,7 +213,6 @@ def _topic(args: argparse.Namespace, columns: "Mapping[str, str]") -> str:
 
     A name may stand without its unit in brackets.
     """
-    from impact_observer.errors import UsageError
     from impact_observer.io.interfaces import absolute
 
     if args.topic is None and len(columns) == 1:
@@ -232,9 +226,8 @@ def _topic(args: argparse.Namespace, columns: "Mapping[str, str]") -> str:
     return absolute(args.topic)
 
 
-def _table(result: "BagDetection") -> "TextTable":
+def _table(result: "BagDetection") -> TextTable:
     """What was found by each sensor; ``late`` is the mean time from threshold to stamp."""
-    from impact_observer.draw.reports import TextTable
     from impact_observer.stamps import seconds_between
 
     headings = ("contact", "sensor", "dead time [s]", "impacts", "persistent", "suppressed")

@@ -11,9 +11,9 @@ Parquet needs pyarrow: impact_observer[parquet].
 
 import argparse
 from functools import partial
-from pathlib import Path
 
 from impact_observer.cli.arguments import PART, add_shared
+from impact_observer.cli.progress import Progress
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
@@ -26,15 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "%(prog)s BAG -o FILE [--what {states,errors,events} | --impacts] [--topics TOPIC ...] "
         "[--model MODEL] [--start S] [--duration S]"
     )
-    add_shared(parser, "bag", "topics", "model", *PART)
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE",
-        type=Path,
-        required=True,
-        help="a .csv or .parquet file",
-    )
+    file = "a .csv or .parquet file"
+    add_shared(parser, "bag", "topics", "model", *PART, "file", file=file)
     parser.set_defaults(outputs={"output": ()})
     rows = parser.add_mutually_exclusive_group()
     rows.add_argument(
@@ -54,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Export a bag and print how many rows were written."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_export import (
         error_rows,
         event_rows,

@@ -12,6 +12,7 @@ import argparse
 from pathlib import Path
 
 from impact_observer.cli.arguments import add_shared
+from impact_observer.cli.progress import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,7 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fit a recording; return 1 where the model does not fit."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.recording.fit_page import fit_recording
 
     with Progress() as progress:

@@ -10,9 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import PART, add_shared, number
+from impact_observer.cli.arguments import (
+    PART,
+    add_observer_arguments,
+    add_shared,
+    observer_options,
+)
+from impact_observer.cli.progress import Progress
+from impact_observer.draw.reports import listed
 from impact_observer.errors import BagError, UsageError
-from impact_observer.options import OBSERVER_OPTIONS, Options
 from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import say
 
@@ -31,11 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     free = "what to identify, with commas, such as gap.stop, or gap for all of a kind"
     add("--free", metavar="LIST", default="", help=f"{free}; docs/fitting.md has all names")
-    for name, metavar in (("dead_time", "S"), ("mislabelled", "P")):
-        option = next(each for each in OBSERVER_OPTIONS if each.name == name)
-        shown = f"{option.meaning} (default {option.default})"
-        flag, default = option.long_flag, option.default
-        add(flag, metavar=metavar, type=number, default=default, help=shown)
+    add_observer_arguments(parser, ("dead_time", "mislabelled"))
     add("--check", action="store_true", help="only check whether the model fits the times")
     model = "write the model with the identified values, as YAML"
     add("-o", "--output", metavar="FILE", type=Path, help=model)
@@ -80,8 +82,6 @@ def _identified(
     """The fit to a bag, its model's text and its time zero; doubts are lines for ``tell``."""
     from impact_observer.batch.fit_report import refuse_scales_of_parts
     from impact_observer.batch.identification import identify
-    from impact_observer.cli.progress import Progress
-    from impact_observer.draw.reports import listed
     from impact_observer.io.bag_part import TimeZero, assumed_epoch, read_impacts_part
     from impact_observer.io.live_inputs import with_recorded
     from impact_observer.io.measured_samples import joint_topics, samples_in
@@ -91,7 +91,8 @@ def _identified(
     from impact_observer.model.free_parameters import parametric_family
     from impact_observer.model.measurement import read_measurements
 
-    sensor = Options(dead_time=args.dead_time, mislabelled=args.mislabelled)
+    given = argparse.Namespace(dead_time=args.dead_time, mislabelled=args.mislabelled)
+    sensor = observer_options(given, "")
     with BagReader(args.bag) as reader, Progress() as progress:
         text = text_of_model(reader, args.model)
         model, declared = model_of(reader, args.model), read_measurements(args.measurements)

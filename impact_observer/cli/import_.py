@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import TABLE, UNUSUAL_TABLE, add_shared, table_form
+from impact_observer.cli.progress import Progress
+from impact_observer.draw.reports import counted
 
 if TYPE_CHECKING:
     from impact_observer.io.import_table import Imported
@@ -30,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Import a file and print what was imported."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.io.import_table import import_table
     from impact_observer.model import read_model
 
@@ -62,7 +63,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _summary(imported: "Imported") -> str:
     """An import in one line."""
-    from impact_observer.draw.reports import counted
     from impact_observer.stamps import text
 
     first, last = imported.events[0], imported.events[-1]

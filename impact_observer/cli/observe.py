@@ -14,9 +14,10 @@ from impact_observer.cli.arguments import (
     add_shared,
     observer_options,
 )
+from impact_observer.cli.progress import Progress
+from impact_observer.draw.reports import TextTable, counted, figure, print_table
 
 if TYPE_CHECKING:
-    from impact_observer.draw.reports import TextTable
     from impact_observer.events import Ruling
     from impact_observer.model import Model
     from impact_observer.observer import Observer
@@ -40,8 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
-    from impact_observer.cli.progress import Progress
-    from impact_observer.draw.reports import print_table
     from impact_observer.io.bag_part import assumed_epoch, read_impacts_part
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.observed_bag import events_from, observe_bag
@@ -92,10 +91,8 @@ def in_words(rulings: "Mapping[Ruling, int]") -> str:
     return ", ".join(words) or "none"
 
 
-def components(observer: "Observer") -> "TextTable":
+def components(observer: "Observer") -> TextTable:
     """The deviation of each component in the last flights."""
-    from impact_observer.draw.reports import TextTable, figure
-
     rows = []
     if (found := observer.last_deviations()) is not None:
         system = observer.system
@@ -104,9 +101,8 @@ def components(observer: "Observer") -> "TextTable":
     return TextTable(("component", "deviation in the last flights"), rows, words=("component",))
 
 
-def parameters(model: "Model", observer: "Observer") -> "TextTable":
+def parameters(model: "Model", observer: "Observer") -> TextTable:
     """The parameters with a deviation, as declared and as learned with the state."""
-    from impact_observer.draw.reports import TextTable, figure
     from impact_observer.model.free_parameters import with_unit
 
     unknowns, rows = observer.law.uncertainty.unknowns, dict[str, list[str]]()
@@ -124,10 +120,8 @@ def parameters(model: "Model", observer: "Observer") -> "TextTable":
     return TextTable(("parameter", "declared", "learned"), [*rows.values()])
 
 
-def samples(observer: "Observer") -> "TextTable":
+def samples(observer: "Observer") -> TextTable:
     """What became of the samples of each sensor."""
-    from impact_observer.draw.reports import TextTable
-
     kinds = ("samples", "accepted", "rejected", "unused", "invalid", "dropped")
     sensors = zip(observer.samples.sensors, observer.samples.counts, strict=True)
     rows = [[sensor.name, *(str(counts[kind]) for kind in kinds)] for sensor, counts in sensors]
@@ -138,7 +132,6 @@ def remarks(
     model: "Model", observer: "Observer", rulings: "Mapping[Ruling, int]"
 ) -> Iterator[str]:
     """What makes the estimates doubtful, the worst first."""
-    from impact_observer.draw.reports import counted
     from impact_observer.events import Remark, Ruling
     from impact_observer.observer.misfit import MISFIT
 
@@ -176,8 +169,6 @@ def fitted_to(model: "Model", stamps: Iterable[int]) -> Iterator[str]:
 
 def contradictions_of(observer: "Observer") -> Iterator[str]:
     """What was learned, and is far from what was declared."""
-    from impact_observer.draw.reports import figure
-
     own = observer.law.uncertainty
     declared = {"clock_offset": (0.0, own.clock_offset_error)}
     if (unknowns := own.unknowns) is not None:

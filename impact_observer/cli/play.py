@@ -4,6 +4,8 @@
 import argparse
 
 from impact_observer.cli.arguments import add_shared, positive
+from impact_observer.cli.progress import Progress
+from impact_observer.draw.reports import counted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,12 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play a bag and show how far the bag is played."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.io.interfaces import absolute
     from impact_observer.ros.session import require_ros
 
     require_ros()
-    from impact_observer.draw.reports import counted
     from impact_observer.ros.player import play
 
     topics = None if args.topics is None else [*map(absolute, args.topics)]

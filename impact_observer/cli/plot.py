@@ -6,9 +6,9 @@ No truth is needed. A band is two standard deviations wide on either side.
 
 import argparse
 from contextlib import suppress
-from pathlib import Path
 
 from impact_observer.cli.arguments import PART, add_shared, names
+from impact_observer.cli.progress import Progress
 from impact_observer.errors import ModelError, UnfitBagError
 from impact_observer.output_files import PICTURES
 from impact_observer.plain_text import say
@@ -16,18 +16,14 @@ from impact_observer.plain_text import say
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    add_shared(parser, "bag", *PART)
-    add = parser.add_argument
-    file = "the picture: a PNG, SVG or PDF"
-    add("-o", "--output", metavar="FILE", type=Path, required=True, help=file)
+    add_shared(parser, "bag", *PART, "file", file="the picture: a PNG, SVG or PDF")
     parser.set_defaults(outputs={"output": PICTURES})
     select = "coordinates that are drawn (default: those that move most, at most eight)"
-    add("--select", metavar="NAME,...", type=names, help=select)
+    parser.add_argument("--select", metavar="NAME,...", type=names, help=select)
 
 
 def run(args: argparse.Namespace) -> int:
     """Draw a bag."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.draw.motion_picture import chosen_coordinates, motion_picture
     from impact_observer.draw.pictures import save
     from impact_observer.draw.recorded_motion import read_motion

@@ -5,7 +5,6 @@ import sys
 import time
 from collections.abc import Iterable
 from itertools import islice
-from types import TracebackType
 from typing import final
 
 from rich.console import Console
@@ -50,12 +49,7 @@ class Progress:
     def __enter__(self) -> "Progress":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._task is not None:
             self._bar.stop()
 

@@ -5,6 +5,8 @@ import argparse
 import math
 
 from impact_observer.cli.arguments import add_shared, positive
+from impact_observer.cli.progress import Progress
+from impact_observer.draw.reports import counted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,11 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Record a bag and print what is in it."""
-    from impact_observer.cli.progress import Progress
     from impact_observer.ros.session import require_ros
 
     require_ros()
-    from impact_observer.draw.reports import counted
     from impact_observer.ros.recorder import record
 
     with Progress() as progress:

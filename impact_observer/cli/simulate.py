@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import add_option, add_shared, positive, seed
+from impact_observer.cli.progress import Progress
 from impact_observer.errors import UsageError
 from impact_observer.sensor_faults import MEASUREMENT_RATE, SENSOR_FAULTS, USUAL_RATE
 
@@ -43,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from impact_observer import plant
-    from impact_observer.cli.progress import Progress
     from impact_observer.events import Kind
     from impact_observer.io.recordings import write_run
     from impact_observer.io.simulated_samples import SampleSimulation, simulated_samples

@@ -15,10 +15,11 @@ from impact_observer.cli.arguments import (
     add_shared,
     observer_options,
 )
+from impact_observer.cli.progress import Progress
+from impact_observer.draw.reports import TextTable, figure, print_table
 
 if TYPE_CHECKING:
     from impact_observer.batch.smoothed_run import SmoothedRun
-    from impact_observer.draw.reports import TextTable
 
 LAW = "minimum-variance"
 _OPTIONS = (
@@ -47,8 +48,6 @@ def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
     from impact_observer.batch.smooth_bag import smooth_bag
     from impact_observer.cli.observe import fitted_to, in_words
-    from impact_observer.cli.progress import Progress
-    from impact_observer.draw.reports import print_table
     from impact_observer.io.bag_part import read_impacts_part
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
@@ -85,9 +84,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _parameters(run: "SmoothedRun") -> "TextTable":
+def _parameters(run: "SmoothedRun") -> TextTable:
     """What was learned in a run of the sender."""
-    from impact_observer.draw.reports import TextTable, figure
     from impact_observer.model.free_parameters import with_unit
 
     unit = run.run.system.unit
@@ -95,10 +93,8 @@ def _parameters(run: "SmoothedRun") -> "TextTable":
     return TextTable(("parameter", "learned"), rows)
 
 
-def _samples(run: "SmoothedRun") -> "TextTable":
+def _samples(run: "SmoothedRun") -> TextTable:
     """How many samples of each sensor were used."""
-    from impact_observer.draw.reports import TextTable
-
     rows = [
         [
             sensor.measurement.name,

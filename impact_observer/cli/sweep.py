@@ -11,12 +11,12 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_observer_arguments,
     add_shared,
+    argument,
     count,
     installed_laws,
     metavar,
@@ -24,6 +24,7 @@ from impact_observer.cli.arguments import (
     parsed,
     positive,
 )
+from impact_observer.cli.progress import Progress
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.options import SETTLED, Option, Value
@@ -54,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "%(prog)s MODEL -o FILE [--laws LAW,...] [--runs N] [--jitter S,...] [options]"
     add = parser.add_argument
     add_shared(parser, "rig", "seed", "plot", "json", "measurements", seed="of the first run (0)")
-    add("-o", "--output", metavar="FILE", type=Path, required=True, help="a .parquet file to make")
+    add_shared(parser, "file", file="a .parquet file to make")
     laws = "of the observers, or all that are installed (default geometric)"
     add("--laws", metavar="LAW,...", default="geometric", help=laws)
     add(
@@ -88,7 +89,7 @@ def _add_swept_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--off",
         metavar="NAME=V,...",
-        type=_off,
+        type=argument(_off, all, "NAME=V,V,... such as stiffness-scale=0.98,1,1.02"),
         action="append",
         default=[],
         help="a parameter of the observer's model, named as in identify: stiffness-scale=0.98,1",
@@ -98,32 +99,22 @@ def _add_swept_arguments(parser: argparse.ArgumentParser) -> None:
 def _values_of(fault: Option) -> "Callable[[str], tuple[Value, ...]]":
     """The type of an argument that lists values of ``fault`` with commas."""
 
-    def value(text: str) -> Value:
-        number = parsed(fault, text.strip())
-        fault.check(number)
-        return number
+    def read(text: str) -> tuple[Value, ...]:
+        return tuple(dict.fromkeys(parsed(fault, each.strip()) for each in text.split(",")))
 
-    def values(text: str) -> tuple[Value, ...]:
-        try:
-            return tuple(dict.fromkeys(map(value, text.split(","))))
-        except ValueError:
-            expected = f"{fault.limits} {fault.unit}".rstrip()
-            raise argparse.ArgumentTypeError(
-                f"{text} found; expected values with commas, each {expected}"
-            ) from None
+    def allows(values: tuple[Value, ...]) -> bool:
+        for each in values:
+            fault.check(each)
+        return True
 
-    return values
+    expected = f"values with commas, each {fault.limits} {fault.unit}".rstrip()
+    return argument(read, allows, expected)
 
 
 def _off(text: str) -> tuple[str, tuple[float, ...]]:
-    """The type of ``NAME=V,V,...``."""
+    """The name and the values in ``NAME=V,V,...``."""
     name, _, values = text.partition("=")
-    try:
-        return name.strip(), tuple(dict.fromkeys(float(part) for part in values.split(",")))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text} found; expected NAME=V,V,... such as stiffness-scale=0.98,1,1.02"
-        ) from None
+    return name.strip(), tuple(dict.fromkeys(map(float, values.split(","))))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -132,7 +123,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         SweepError: the sweep could not go on, or some cases have failed; the file has the others.
     """
-    from impact_observer.cli.progress import Progress
     from impact_observer.sweep.engine import run_cases
     from impact_observer.sweep.summary import (
         groups_of,

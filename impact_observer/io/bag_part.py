@@ -9,7 +9,6 @@ from impact_observer.errors import UnfitBagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import first_pulse
-from impact_observer.io.measured_samples import received_topics
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import epoch_of
 from impact_observer.model import System
@@ -197,5 +196,5 @@ def read_impacts_part(
         topic_of_impacts(reader),
         tell=tell,
         zero=partial(time_zero, epoch=epoch),
-        received=received_topics(reader, measurements),
+        received=[interfaces.absolute(m.topic) for m in measurements if m.stamp == "receive"],
     )

@@ -270,4 +270,4 @@ def _samples(topic: str, signal: Signal) -> _Stream:
     for stamp, row in zip(signal.stamps.tolist(), rows, strict=True):
         some = {name: value for name, value in zip(names, row, strict=True) if not isnan(value)}
         if some:
-            yield stamp, topic, make.positions(stamp, [*some], [*some.values()])
+            yield stamp, topic, make.joints(stamp, [*some], position=[*some.values()])

@@ -6,6 +6,7 @@ Nodes use the names relative to their namespace, bags the absolute ones.
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from rosbags.interfaces import (
     Qos,
@@ -43,17 +44,20 @@ class Quality:
         )
 
     @classmethod
-    def recorded(cls, qos: Qos, depth: int = 10) -> "Quality":
-        """The quality that was offered, as ``rosbags`` reads it; reliable where that is unknown.
+    def of_publisher(cls, policies: Any, depth: int = 10) -> "Quality":  # noqa: ANN401 (of two libraries)
+        """The quality that a publisher offers; reliable where that is unknown.
 
-        ``depth`` counts if the bag has none: a recorder does not receive the history of a
-        publisher, so ``ros2 bag record`` writes ``unknown``.
+        Args:
+            policies: the ``Qos`` of ``rosbags`` or the ``QoSProfile`` of ``rclpy``, whose policies
+                have the same numbers.
+            depth: counts if there is none: the history of a publisher in another process is not
+                visible, so ``ros2 bag record`` writes ``unknown``.
         """
-        kept = {QosHistory.KEEP_ALL: 0, QosHistory.KEEP_LAST: max(qos.depth, 1)}
+        kept = {QosHistory.KEEP_ALL: 0, QosHistory.KEEP_LAST: max(policies.depth, 1)}
         return cls(
-            reliable=qos.reliability is not QosReliability.BEST_EFFORT,
-            transient_local=qos.durability is QosDurability.TRANSIENT_LOCAL,
-            depth=kept.get(qos.history, depth),
+            reliable=policies.reliability.value != QosReliability.BEST_EFFORT.value,
+            transient_local=policies.durability.value == QosDurability.TRANSIENT_LOCAL.value,
+            depth=kept.get(QosHistory(policies.history.value), depth),
         )
 
     @classmethod

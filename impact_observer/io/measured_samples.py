@@ -121,7 +121,7 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
     samples, problems, published = list[SensorSample](), list[str](), set[str]()
     by_topic: dict[str, list[SensorReader]] = {}
     for i, declared in enumerate(measurements):
-        if (topic := topic_in(reader, declared)) is not None:
+        if (topic := interfaces.absolute(declared.topic)) in reader.topics:
             own = SensorReader(declared, i, reader.topics[topic].type)
             by_topic.setdefault(topic, []).append(own)
             continue
@@ -181,15 +181,3 @@ def _read(
     lost["stamped far from all others"] = len(made) - len(kept)
     lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for s in kept)
     return kept, lost
-
-
-def topic_in(reader: BagReader, measurement: Measurement) -> str | None:
-    """The topic of a sensor in a bag; None if the bag has no such topic."""
-    name = interfaces.absolute(measurement.topic)
-    return name if name in reader.topics else None
-
-
-def received_topics(reader: BagReader, measurements: Sequence[Measurement]) -> list[str]:
-    """Topics of sensors in a bag whose stamps are the times of recording."""
-    topics = [topic_in(reader, each) for each in measurements if each.stamp == "receive"]
-    return [topic for topic in topics if topic is not None]

@@ -131,7 +131,7 @@ class Messages:
         self, classes: Callable[[str], AnyMessage], floats: Callable[[Vector], object]
     ) -> None:
         """``classes`` finds a class by the name of its type; ``floats`` makes a ``float64[]``."""
-        self._classes = classes
+        self.classes = classes
         self._floats = floats
         for kind in _TYPES:  # takes a fifth of a second, which the first event must not
             _mirrored(kind)
@@ -140,7 +140,7 @@ class Messages:
         """``stamp`` (ns, or 0 for "unknown") as ``builtin_interfaces/Time``."""
         _check_stamp(field, stamp, earliest=0)
         seconds, nanoseconds = divmod(int(stamp), NS_PER_S)
-        return self._classes(interfaces.TIME)(sec=seconds, nanosec=nanoseconds)
+        return self.classes(interfaces.TIME)(sec=seconds, nanosec=nanoseconds)
 
     def clock(self, stamp: int) -> AnyMessage:
         """``stamp`` (ns) as ``rosgraph_msgs/Clock``."""
@@ -181,7 +181,7 @@ class Messages:
 
     def joint_state_of(self, estimate: AnyMessage) -> AnyMessage:
         """Returns the state in an ``ObserverState`` as ``sensor_msgs/JointState``."""
-        return self._classes(interfaces.JOINT_STATE)(
+        return self.classes(interfaces.JOINT_STATE)(
             header=estimate.header,
             name=estimate.name,
             position=estimate.position,
@@ -189,14 +189,9 @@ class Messages:
             effort=self._floats(np.empty(0)),
         )
 
-    def positions(self, stamp: int, names: Sequence[str], values: ArrayLike) -> AnyMessage:
-        """Numbers by name as the positions of ``sensor_msgs/JointState``, without velocities."""
-        return self._message(interfaces.JOINT_STATE, header=stamp, name=names, position=values)
-
-    def forces(self, stamp: int, forces: Mapping[str, float]) -> AnyMessage:
-        """Forces of inputs by name, N, as ``sensor_msgs/JointState`` with efforts only."""
-        names, values = [*forces], [*forces.values()]
-        return self._message(interfaces.JOINT_STATE, header=stamp, name=names, effort=values)
+    def joints(self, stamp: int, names: Sequence[str], **columns: ArrayLike) -> AnyMessage:
+        """Numbers of joints as ``sensor_msgs/JointState``: position, velocity, effort, or some."""
+        return self._message(interfaces.JOINT_STATE, header=stamp, name=names, **columns)
 
     def bound(self, estimate: Estimate) -> AnyMessage:
         """The certified bound of ``estimate``'s V, as an error without coordinates."""
@@ -207,7 +202,7 @@ class Messages:
 
     def misfit(self, estimate: Estimate, node: str) -> AnyMessage:
         """The misfit of an estimate, or that there is none, as the ``node`` diagnoses it."""
-        status = self._classes(interfaces.DIAGNOSTIC)(
+        status = self.classes(interfaces.DIAGNOSTIC)(
             level=1 if estimate.misfit else 0,
             name=f"{node}: impacts",
             message=estimate.misfit or EXPLAINED,
@@ -219,7 +214,7 @@ class Messages:
     def _header(self, field: str, stamp: int) -> AnyMessage:
         """A header with a stamp, which must not be 0."""
         _check_stamp(field, stamp)
-        return self._classes(interfaces.HEADER)(stamp=self.time(stamp), frame_id="")
+        return self.classes(interfaces.HEADER)(stamp=self.time(stamp), frame_id="")
 
     def _message(self, type_name: str, **values: Any) -> AnyMessage:  # noqa: ANN401 (by the type)
         """A message of ``values`` by field: stamps in ns, arrays; arrays left out are empty."""
@@ -240,13 +235,23 @@ class Messages:
             elif of_type == "float64":
                 value = _number(field, value)
             made[name] = bool(value) if of_type == "bool" else value
-        return self._classes(type_name)(**made)
+        return self.classes(type_name)(**made)
 
 
 @cache
 def bag_messages() -> Messages:
     """Makes messages of the classes of ``rosbags``, to be written to a bag."""
     return Messages(typestore().types.__getitem__, np.array)
+
+
+def read(kind: type[_Value], message: AnyMessage) -> _Value:
+    """The value of a ``kind`` in its message, or in a message with the same fields.
+
+    Raises:
+        MessageError: its stamp is not after 0, a number is not finite or unknown, or there is not
+            one number for each name.
+    """
+    return kind(**_values(kind, message))
 
 
 def read_event(message: AnyMessage) -> ImpactEvent:
@@ -264,7 +269,7 @@ def read_event(message: AnyMessage) -> ImpactEvent:
     ):
         if number > most:
             raise MessageError(f"{number} {what}; expected at most {most}")
-    return _read(ImpactEvent, message)
+    return read(ImpactEvent, message)
 
 
 def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
@@ -273,18 +278,9 @@ def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
     Raises:
         MessageError: its stamp is not after 0, the ruling is unknown, or a number is not finite.
     """
-    verdict = _read(Verdict, message)
+    verdict = read(Verdict, message)
     revises = verdict.reason.startswith(REVISED)
     return verdict._replace(revises=revises), float(message.latency)
-
-
-def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
-    """The estimate of an impact in a message.
-
-    Raises:
-        MessageError: as of :func:`read_verdict`.
-    """
-    return _read(ImpactEstimate, message)
 
 
 def read_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
@@ -302,16 +298,6 @@ def read_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
     values["covariance"] = values["covariance"].reshape(side, side)
     parameters = tuple(zip(names, *learned, strict=True))
     return tuple(message.name), Estimate(**values, parameters=parameters)
-
-
-def read_joint_state(message: AnyMessage) -> JointState:
-    """The state in a ``sensor_msgs/JointState``, or in a message with the same fields.
-
-    Raises:
-        MessageError: its stamp is not after 0, a number is not finite, or there is not one
-            position and one velocity for each name.
-    """
-    return _read(JointState, message)
 
 
 def read_efforts(message: AnyMessage) -> list[LiveSample]:
@@ -346,11 +332,6 @@ def read_stamp(field: str, time: AnyMessage, earliest: int = 1) -> int:
     return stamp
 
 
-def _read(kind: type[_Value], message: AnyMessage) -> _Value:
-    """The value in a message."""
-    return kind(**_values(kind, message))
-
-
 def _values(kind: type, message: AnyMessage) -> dict[str, Any]:
     """The fields of a value that are in its message."""
     known, values = _fields(_TYPES[kind]), dict[str, Any]()
@@ -364,7 +345,7 @@ def _values(kind: type, message: AnyMessage) -> dict[str, Any]:
             count = _count(name, len(value), {"name": message.name})
             value = frozen(_numbers(field, value, count))
         elif of_type == interfaces.CONTACT_SWITCH + "[]":
-            value = tuple(_read(Switch, each) for each in value)
+            value = tuple(read(Switch, each) for each in value)
         elif of_type == "float64":
             value = _number(field, value)
         elif name in _KINDS:

@@ -105,16 +105,13 @@ def observe_bag(
         items = replay_batches(observer, events, stamps, rejects=True, samples=measured.samples)
         items = noting_impacts(items, observer, impacts)
         done, log_time = 0, 0
-
-        def step() -> None:
-            nonlocal done
-            done += 1
-            progress(done, stamps.size)
-
         ordered = in_log_order(_with_samples(items, observer, measured.published))
-        made = _messages(ordered, writer, observer.system.coordinates, verdicts, step)
+        made = _messages(ordered, writer, observer.system.coordinates, verdicts)
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
+            if topic == interfaces.OBSERVER_STATES.topic:
+                done += 1
+                progress(done, stamps.size)
         final = final_rulings(verdicts)
         every = [*impacts.values(), *rejected_impacts(final, events)]
         for each in sorted(every, key=attrgetter("stamp")):  # the last verdict decides on each
@@ -198,13 +195,13 @@ def sample_stamps(
     if rate is None:
         if truth is None or not reader.topics[truth].count:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
-        return np.unique(reader.stamps(truth))
+        return np.unique([*reader.all_stamps([truth])])
     if not (used := used_of(events)):
         return np.empty(0, dtype=np.int64)
     start = max(epoch or used[0].epoch or used[0].stamp, reader.low)
     last = max(each.stamp for each in used)
     if truth:
-        last = max(last, int(reader.stamps(truth).max(initial=0)))
+        last = max([last, *reader.all_stamps([truth])])
     return grid(start, last, rate)
 
 
@@ -285,11 +282,10 @@ def _messages(
     writer: BagWriter,
     names: tuple[str, ...],
     verdicts: list[Verdict],
-    step: Callable[[], None],
 ) -> Iterator[_Message]:
     """The messages of estimates, with bound and misfit where these are new, and of verdicts.
 
-    Verdicts on events are added to ``verdicts``; ``step`` is called after each estimate.
+    Verdicts on events are added to ``verdicts``.
     """
     make, bound, misfit = bag_messages(), -1.0, ""
     for log_time, item in items:
@@ -308,6 +304,5 @@ def _messages(
                 misfit = item.misfit
                 diagnosed = make.misfit(item, f"/{OBSERVER}")
                 others.append((interfaces.DIAGNOSTIC_ARRAYS, diagnosed))
-            step()
         for own, message in others:
             yield log_time, own.topic, writer.serialized(own.topic, message)

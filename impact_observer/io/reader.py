@@ -11,12 +11,12 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypeVar, final
 
-import numpy as np
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
@@ -39,11 +39,9 @@ from impact_observer.io.messages import (
     AnyMessage,
     JointState,
     MessageError,
+    read,
     read_estimate,
     read_event,
-    read_impact_estimate,
-    read_joint_state,
-    read_stamp,
     read_verdict,
 )
 from impact_observer.io.state_arrays import RecordedStates, state_arrays
@@ -55,7 +53,7 @@ from impact_observer.io.typestores import (
 )
 from impact_observer.plain_text import say
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Estimate, Stamps
+from impact_observer.states import Estimate
 
 _Value = TypeVar("_Value")
 _STEP = 1024
@@ -80,7 +78,7 @@ class TopicInfo:
     def of(cls, topic: str, connections: Sequence[Connection]) -> "TopicInfo":
         """A topic with all its connections."""
         offers = [
-            Quality.recorded(qos, interfaces.usual_quality(topic).depth)
+            Quality.of_publisher(qos, interfaces.usual_quality(topic).depth)
             for connection in connections
             if isinstance(connection.ext, ConnectionExtRosbag2)
             for qos in connection.ext.offered_qos_profiles
@@ -323,8 +321,8 @@ class BagReader:
         return self._values(topic, interfaces.EVENT_VERDICT, lambda each: read_verdict(each)[0])
 
     def impact_estimates(self, topic: str) -> Iterator[ImpactEstimate]:
-        """The estimates of impacts of a topic, in bag order."""
-        return self._values(topic, interfaces.IMPACT_ESTIMATE, read_impact_estimate)
+        """The estimates of impacts of a topic, in bag order; rejected ones without numbers."""
+        return self._values(topic, interfaces.IMPACT_ESTIMATE, partial(read, ImpactEstimate))
 
     def model_text(self) -> str | None:
         """The text of the last model published in the bag; None without a model."""
@@ -333,19 +331,10 @@ class BagReader:
         texts = deque(self._values(topic, interfaces.STRING, attrgetter("data")), maxlen=1)
         return texts[0] if texts else None
 
-    def stamps(self, topic: str) -> Stamps:
-        """The stamps of all joint states of a topic, ns, in bag order."""
-
-        def stamp_of(message: AnyMessage) -> int:
-            return read_stamp("JointState.header.stamp", message.header.stamp)
-
-        stamps = self._values(topic, interfaces.JOINT_STATE, stamp_of)
-        return np.fromiter(stamps, dtype=np.int64)
-
     def first_state(self, topics: Iterable[str]) -> JointState | None:
         """The first state on the first of some topics that has one; None without a state."""
         for topic in topics:
-            for state in self._values(topic, self._state_type(topic), read_joint_state):
+            for state in self._values(topic, self._state_type(topic), partial(read, JointState)):
                 return state
         return None
 
@@ -378,8 +367,8 @@ class BagReader:
 
         for topic in chosen:
             type_name = self._state_type(topic)
-            read = read_estimate if type_name == interfaces.OBSERVER_STATE else _as_estimate
-            states = counted(self._values(topic, type_name, read))
+            value_of = read_estimate if type_name == interfaces.OBSERVER_STATE else _as_estimate
+            states = counted(self._values(topic, type_name, value_of))
             found[topic] = state_arrays(states, names, f"{self.path}: {topic}")
         return found
 
@@ -402,9 +391,9 @@ class BagReader:
         return self.topics[topic]
 
     def _values(
-        self, topic: str, type_name: str, read: Callable[[AnyMessage], _Value]
+        self, topic: str, type_name: str, value_of: Callable[[AnyMessage], _Value]
     ) -> Iterator[_Value]:
-        """The messages of a topic of the given type, each converted by ``read``."""
+        """The values of the messages of a topic of the given type."""
         if (found := self._topic(topic).type) != type_name:
             raise UnfitBagError(f"{self.path}: {topic} is {found}; expected {type_name}")
         messages = self.messages(topic)
@@ -413,7 +402,7 @@ class BagReader:
             position = 0
             try:
                 for position, (_, message) in enumerate(messages):  # noqa: B007 (for the error)
-                    yield read(message)
+                    yield value_of(message)
             except MessageError as error:
                 raise BagError(f"{self.path}: {topic}, message {position}: {error}") from error
 
@@ -493,7 +482,7 @@ class BagReader:
 
 def _as_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
     """A joint state as an estimate that knows all before it."""
-    state = read_joint_state(message)
+    state = read(JointState, message)
     return state.names, Estimate(state.stamp, "", state.q, state.u, last_event=state.stamp)
 
 

@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from impact_observer import __version__
 from impact_observer.errors import ImpactObserverError, ModelError, UnfitBagError
-from impact_observer.events import ImpactEstimate, ImpactEvent
+from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.reader import BagReader
@@ -219,17 +219,6 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
     verdicts_on_samples = reader.messages(f"{prefix}/measurements")
     used = Counter(bool(each.accepted) for _, each in verdicts_on_samples)
     return replace(outcomes, measured=(used[True], used[False]))
-
-
-def impact_estimates(reader: BagReader) -> dict[str, list[ImpactEstimate]]:
-    """The estimates of impacts in a bag, by topic, in order of stamps.
-
-    Impacts that were rejected are among them, without numbers.
-
-    Raises:
-        BagError: the bag has no such topic, or a message is not valid.
-    """
-    return {topic: [*reader.impact_estimates(topic)] for topic in reader.impact_topics()}
 
 
 def epoch_of(events: Iterable[ImpactEvent]) -> int:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated messages of the sensors beside the impacts."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from impact_observer.dynamics import mechanism_of
 from impact_observer.events import Contacts
 from impact_observer.io.interfaces import JOINT_STATE, absolute
 from impact_observer.io.measured_samples import number_in
-from impact_observer.io.messages import AnyMessage, bag_messages
+from impact_observer.io.messages import AnyMessage, Messages, bag_messages
 from impact_observer.io.typestores import blank
 from impact_observer.message_fields import FieldPath
 from impact_observer.model.measurement import Measurement
@@ -79,9 +79,9 @@ class SampleSimulation:
         system: Multibody,
         rate: float,
         seed: int,
-        new: Callable[[str], AnyMessage] = blank,
+        make: Messages | None = None,
     ) -> None:
-        """Sensors of ``system`` at a ``rate`` (Hz); ``new`` makes an empty message of a type.
+        """Sensors of ``system`` at a ``rate`` (Hz); ``make`` makes messages, None those of a bag.
 
         Raises:
             UsageError: by file and key, where the system lacks a name, or a sensor cannot be
@@ -92,7 +92,8 @@ class SampleSimulation:
             each.check(system)
         self._declared, self._system, self._rate = tuple(measurements), system, rate
         self._mechanism = mechanism_of(system)
-        self._new = new
+        self._make = make or bag_messages()
+        self._new = blank if make is None else lambda kind: self._make.classes(kind)()
         self._random = np.random.default_rng([seed, _STREAM])
         self.types: dict[str, str] = {}
         for each in measurements:
@@ -126,17 +127,17 @@ class SampleSimulation:
             together.setdefault(key, []).append((declared, sample.value, arrival))
         for group in together.values():
             declared, value, arrival = group[0]
-            topic = absolute(declared.topic)
-            message = self._new(self.types[topic])
-            if hasattr(message, "header"):
-                time = bag_messages().time(stamp + from_seconds(declared.delay))
-                message.header.stamp.sec, message.header.stamp.nanosec = time.sec, time.nanosec
+            topic, time = absolute(declared.topic), stamp + from_seconds(declared.delay)
             if declared.joint:
-                message.name = [each.joint for each, _, _ in group]
-                setattr(message, declared.quantity, np.array([each for _, each, _ in group]))
+                names = [each.joint for each, _, _ in group]
+                columns: dict[str, list[float]] = {declared.quantity: [v for _, v, _ in group]}
                 if efforts:
-                    message.effort = np.array([efforts[name] for name in message.name])
+                    columns["effort"] = [efforts[name] for name in names]
+                message = self._make.joints(time, names, **columns)
             else:
+                message = self._new(self.types[topic])
+                if hasattr(message, "header"):
+                    message.header.stamp = self._make.time(time)
                 _put(message, declared.path(), value)
             yield SimulatedMessage(arrival, topic, message)
 

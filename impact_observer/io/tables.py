@@ -9,6 +9,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
@@ -560,13 +561,9 @@ def _with_points(texts: Sequence[str], decimal_comma: bool) -> list[str]:
 
 def _floats(texts: Sequence[str]) -> Vector:
     """Decimals with a point as float64; NaN where there is no finite number."""
-    values = np.array([_float(each) for each in texts], dtype=np.float64)
+    values = np.full(len(texts), np.nan)
+    for k, each in enumerate(texts):
+        with suppress(ValueError):
+            values[k] = float(each)
     values[np.isinf(values)] = np.nan
     return values
-
-
-def _float(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan

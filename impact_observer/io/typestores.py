@@ -36,15 +36,6 @@ _IDL = re.compile(r"^\s*module\s+\w+\s*\{", re.MULTILINE)
 """Begins a definition as IDL; no text of a message type has such a line."""
 
 
-@cache
-def _our_types() -> Typesdict:
-    """The types of ``msg_defs/msg``."""
-    types: Typesdict = {}
-    for path in sorted(shared("msg_defs/msg").glob("*.msg")):
-        types.update(get_types_from_msg(path.read_text("utf-8"), f"{_PACKAGE}/msg/{path.stem}"))
-    return types
-
-
 def new_typestore() -> Typestore:
     """A typestore of ROS 2 Jazzy's and our message types; types may be added to it.
 
@@ -61,7 +52,8 @@ def new_typestore() -> Typestore:
 def typestore() -> Typestore:
     """A shared typestore; no types may be added to it."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(_our_types())
+    for path in sorted(shared("msg_defs/msg").glob("*.msg")):
+        store.register(get_types_from_msg(path.read_text("utf-8"), f"{_PACKAGE}/msg/{path.stem}"))
     return store
 
 

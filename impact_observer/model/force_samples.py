@@ -92,31 +92,24 @@ class Samples:
         """Instant of the last sample, s since the epoch."""
         return float(self.time[-1])
 
-    def index(self, t: Vector) -> NDArray[np.intp]:
+    def index(self, t: Vector, slack: float | None = None) -> NDArray[np.intp]:
         """Index of the latest sample at each ``t``, s since the epoch, shape (samples,).
 
-        A ``t`` less than ``rounding`` before a sample counts as the instant of the sample.
+        A ``t`` less than ``slack`` before a sample, by default ``rounding``, is its instant.
 
         Raises:
             DynamicsError: an instant before the first sample.
         """
         self.check(t)
-        return self._index(t, self.rounding)
-
-    def _index(self, t: Vector, slack: float) -> NDArray[np.intp]:
-        index = np.searchsorted(self.time, t + slack, side="right") - 1
-        return np.asarray(np.maximum(index, 0))
+        at = t + (self.rounding if slack is None else slack)
+        return np.asarray(np.maximum(np.searchsorted(self.time, at, side="right") - 1, 0))
 
     def derivatives(self, t: Vector, *, slack: float | None = None) -> NDArray[np.float64]:
         """Forces at ``t`` (s since the epoch) and their derivatives, shape (4, samples, n).
 
-        At a jump the values are those after the jump; ``slack`` replaces ``rounding``.
-
-        Raises:
-            DynamicsError: an instant before the first sample.
+        At a jump the values are those after the jump; ``slack`` and errors as of ``index``.
         """
-        self.check(t)
-        j = self._index(t, self.rounding if slack is None else slack)
+        j = self.index(t, slack)
         return shifted(self.jets[:, j], np.asarray(t - self.time[j]))
 
     def check(self, t: Vector | float) -> None:
@@ -138,12 +131,6 @@ class Samples:
             self.time, [start + self.rounding, stop - self.rounding], side="right"
         )
         return np.asarray(self.time[first:last])
-
-    def mapped(self, T: Matrix) -> "Samples":
-        """The samples of ``T f``, for ``T`` of shape (r, n)."""
-        if self.hold in HOLDS:
-            return Samples(self.time, self.force @ T.T, self.hold)
-        return Samples.of_jets(self.time, self.jets @ T.T)
 
     def derivative(self) -> "Samples":
         """The rate of change of the samples."""

@@ -11,7 +11,7 @@ A shift ``E`` solves ``W^T E = -F``. The coordinates ``p = q - E s`` have ``g = 
 package computes in this frame. Initial states, messages and files have the coordinates ``q``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -150,14 +150,3 @@ class MovingFrame:
             ``(E s, E ds/dt)``, shape (samples, 2n).
         """
         return np.hstack([each @ self.shift.T for each in self.displacements(ns)])
-
-
-def motion_of(k: int, harmonics: Sequence[tuple[int, float, float, float]]) -> Forcing:
-    """Displacements of ``k`` grounds by ``harmonics``: ground, amplitude, frequency and phase."""
-    zero, rows = np.zeros((len(harmonics), k)), range(len(harmonics))
-    cosine, sine = zero.copy(), zero.copy()
-    for row, (ground, amplitude, _, phase) in zip(rows, harmonics, strict=True):
-        cosine[row, ground] = amplitude * np.cos(phase)
-        sine[row, ground] = -amplitude * np.sin(phase)
-    frequency: Vector = np.array([each[2] for each in harmonics])
-    return Forcing(np.zeros(k), frequency, cosine, sine)

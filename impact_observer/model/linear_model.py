@@ -27,7 +27,7 @@ from impact_observer.model.files_beside import (
 )
 from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.grounds import Grounds, LiveNames, motion_of
+from impact_observer.model.grounds import Grounds, LiveNames
 from impact_observer.model.parameters_in_file import ParameterPlace, Place, key_of
 from impact_observer.model.rebounds import read_rebound
 from impact_observer.model.schema import (
@@ -188,7 +188,7 @@ class LinearFile:
                 if force.shape is not None:
                     squares.append((omega, phase, size * e))
                     continue
-                waves.append((omega, size * np.cos(phase) * e, -size * np.sin(phase) * e))
+                waves.append(_wave(omega, size, phase, e))
                 self._note_wave(f"forcing.{len(waves)}", path, force)
         total = dict(zip(bodies, constant.tolist(), strict=True))
         for path, name, value in constants:  # the others on the same body stay
@@ -267,26 +267,27 @@ class LinearFile:
 
     def _grounds(self, given: Sequence[Ground], by_ground: _ByKind) -> Grounds:
         """The moving grounds, and what they do to bodies and contacts."""
-        names, one = tuple(each.name for each in given), np.eye(len(given))
+        names = tuple(each.name for each in given)
         check_names("grounds", names, member=".name")
-        harmonics = list[tuple[int, float, float, float]]()
-        written, motion = list[dict[str, Any]](), Forcing.none(len(names))
+        waves, owner, written = _Waves(), list[int](), list[dict[str, Any]]()
+        sampled: Samples | None = None
         for k, (key, ground) in enumerate(_keyed("grounds", given)):
-            waves, table = ground.motion.harmonics, ground.motion.sampled
+            axis, table = np.eye(len(names))[k], ground.motion.sampled
             written.append(msgspec.to_builtins(ground))
-            for i, wave in enumerate(waves or ()):
-                harmonics.append((k, wave.amplitude, wave.omega, wave.phase))
+            for i, wave in enumerate(ground.motion.harmonics or ()):
+                waves.append(_wave(wave.omega, wave.amplitude, wave.phase, axis))
+                owner.append(k)
                 path = ("grounds", k, "motion", "harmonics", i)
                 self._note_wave(f"ground.{ground.name}.{i + 1}", path, wave)
             if table is not None:
                 rows = read_table(f"{key}.motion.sampled", table, (_DISPLACEMENT,), self._folder)
-                spline = _clamped(f"{key}.motion.sampled", rows).mapped(one[:, [k]])
-                motion = motion.added(Forcing.of_samples(spline))
+                spline = _clamped(f"{key}.motion.sampled", rows, axis)
+                sampled = spline if sampled is None else sampled.plus(spline)
                 written[k]["motion"]["sampled"] = table_text(rows, (_DISPLACEMENT,))
         return Grounds(
             names=names,
-            motion=motion_of(len(names), harmonics).added(motion),
-            owner=tuple(each[0] for each in harmonics),
+            motion=_forcing(np.zeros(len(names)), waves, sampled),
+            owner=tuple(owner),
             stiffness=by_ground["stiffness"],
             damping=by_ground["damping"],
             factors=frozen(np.reshape(self._moved, (len(self._contacts), len(names)))),
@@ -349,6 +350,11 @@ def smooth_forcing(
     return _forcing(constant, waves, _read_samples(given, coordinates, folder))
 
 
+def _wave(omega: float, amplitude: float, phase: float, e: Vector) -> tuple[float, Vector, Vector]:
+    """The wave ``amplitude cos(omega t + phase)`` along ``e``, shape (n,)."""
+    return omega, amplitude * np.cos(phase) * e, -amplitude * np.sin(phase) * e
+
+
 def _forcing(constant: Vector, waves: _Waves, sampled: Samples | None) -> Forcing:
     shape = len(waves), constant.size
     return Forcing(
@@ -380,8 +386,10 @@ def _read_samples(
         raise ModelError(key, f"{table_in(given)}: {error.problem}") from None
 
 
-def _clamped(key: str, table: Matrix) -> Samples:
+def _clamped(key: str, table: Matrix, axis: Vector) -> Samples:
     """The C2 cubic spline through a ``table`` of instants and displacements, at rest at its ends.
+
+    The displacements are along the ``axis``, shape (k,).
 
     Raises:
         ModelError: fewer than two instants, or instants that do not ascend.
@@ -394,7 +402,7 @@ def _clamped(key: str, table: Matrix) -> Samples:
     jets = np.zeros((JETS, *table[:, 1:].shape))
     jets[:, :-1] = parts * np.array([1.0, 1.0, 2.0, 6.0])[:, None, None]
     jets[0] = table[:, 1:]
-    return Samples.of_jets(time, jets)
+    return Samples.of_jets(time, jets * axis)
 
 
 def matrix_form(system: System) -> dict[str, Value]:

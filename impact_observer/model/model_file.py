@@ -6,12 +6,13 @@ number (``parameters_in_file``); keys and values are those of the ``schema``; a 
 a ``RobotDescription`` is made, with the places of all parameters, to which deviations belong.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
-import numpy as np
+from numpy.typing import ArrayLike
 
 from impact_observer.errors import ModelError, NotLinearError, UsageError
 from impact_observer.model.contact_sensors import KEY as SENSORS
@@ -20,7 +21,7 @@ from impact_observer.model.contact_sensors import (
     contact_sensors,
     written_sensors,
 )
-from impact_observer.model.document import Value, converted, finite
+from impact_observer.model.document import Value, converted
 from impact_observer.model.fit_verdict import TimeShift, WrittenVerdict, verdict_keys
 from impact_observer.model.free_parameters import LATENCY, is_observed
 from impact_observer.model.linear_model import (
@@ -42,7 +43,7 @@ from impact_observer.model.robot_description import (
     read_robot,
 )
 from impact_observer.model.schema import Common, ElementModel, MatrixModel, RobotModel, State
-from impact_observer.model.system import LARGEST_STATE, Element, System
+from impact_observer.model.system import Element, System, checked_parts
 from impact_observer.model.yaml_text import load_yaml, yaml_text
 from impact_observer.resources import read_file_or_sample
 from impact_observer.states import Vector
@@ -296,7 +297,7 @@ def _read_linear(plain: PlainDocument, folder: Path | None) -> Model:
     errors = declared_deviations(declared, plain.deviations, places)
     return Model(
         system,
-        *_start(given.initial_state, system),
+        *_start(given.initial_state, partial(_outside_stops, system)),
         given.provenance,
         elements=elements,
         form=form,
@@ -323,7 +324,7 @@ def _read_robot(plain: PlainDocument, folder: Path | None) -> Model:
             raise ModelError(key, f"{name!r} is no parameter; expected some of {wanted}")
     return Model(
         None,
-        *_state(given.initial_state, robot.n),
+        *_start(given.initial_state, partial(checked_parts, robot.n)),
         given.provenance,
         form=form,
         places=places,
@@ -338,30 +339,21 @@ def _own_keys(document: Mapping[str, Value]) -> dict[str, Any]:
     return {k: value for k, value in document.items() if k not in Common.__struct_fields__}
 
 
-def _state(given: State | None, n: int) -> tuple[Vector | None, Vector | None]:
-    """Positions and velocities at the epoch of ``n`` coordinates, shape (n,) each, if any."""
+def _start(
+    given: State | None, checked: Callable[[ArrayLike, ArrayLike], tuple[Vector, Vector]]
+) -> tuple[Vector | None, Vector | None]:
+    """Positions and velocities at the epoch, shape (n,) each, as ``checked``, if any."""
     if given is None:
         return None, None
-    wanted = f"a list of {n} numbers, one a coordinate"
-    return (
-        finite("initial_state.position", given.position, (n,), wanted, LARGEST_STATE),
-        finite("initial_state.velocity", given.velocity, (n,), wanted, LARGEST_STATE),
-    )
+    try:
+        return checked(given.position, given.velocity)
+    except ModelError as error:
+        raise ModelError(f"initial_state.{error.key}", error.problem) from None
 
 
-def _start(given: State | None, system: System) -> tuple[Vector | None, Vector | None]:
-    """The plant's initial state, which must not be inside a stop."""
-    position, velocity = _state(given, system.n)
-    if position is not None and velocity is not None:
-        x = np.append(position, velocity)[None]
-        at_epoch = system.to_frame(np.zeros(1, dtype=np.int64), x)
-        start = at_epoch[0, : system.n]
-        for contact in system.penetrated(start):
-            name, gap = system.contact_names[contact], system.gap(start)[contact]
-            raise ModelError(
-                "initial_state.position",
-                f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0: check side, the"
-                " order of between or the sign of direction, and the units of gap, limit and"
-                " amplitudes of grounds",
-            )
-    return position, velocity
+def _outside_stops(
+    system: System, position: ArrayLike, velocity: ArrayLike
+) -> tuple[Vector, Vector]:
+    """The checked state of a plant, which must not be inside a stop."""
+    system.checked_start(position, velocity)
+    return system.checked_state(position, velocity)

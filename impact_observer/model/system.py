@@ -188,11 +188,6 @@ class System:
         return system
 
     @property
-    def speed_unit(self) -> str:
-        """Unit of the velocities: ``m/s``, ``rad/s`` or ``m/s or rad/s``."""
-        return per_second(self.unit)
-
-    @property
     def state_names(self) -> tuple[str, ...]:
         """Names of (q, u): coordinates, then their velocities."""
         return (*self.coordinates, *(f"d{name}/dt" for name in self.coordinates))
@@ -200,7 +195,7 @@ class System:
     @property
     def state_units(self) -> tuple[str, ...]:
         """Units of (q, u)."""
-        return (self.unit,) * self.n + (self.speed_unit,) * self.n
+        return (self.unit,) * self.n + (per_second(self.unit),) * self.n
 
     @property
     def n(self) -> int:
@@ -333,9 +328,11 @@ class System:
         x = np.concatenate(self.checked_state(position, velocity))
         q, u = np.split(self.to_frame(np.zeros(1, dtype=np.int64), x[None])[0], 2)
         for i in self.penetrated(q):
-            raise UsageError(
-                f"position: is inside the stop {self.contact_names[i]!r} (gap {self.gap(q)[i]:g});"
-                " expected gap >= 0"
+            raise ModelError(
+                "position",
+                f"is inside the stop {self.contact_names[i]!r} (gap {self.gap(q)[i]:g}); expected"
+                " gap >= 0: check side, the order of between or the sign of direction, and the"
+                " units of gap, limit and amplitudes of grounds",
             )
         return q, u
 
@@ -345,7 +342,7 @@ class System:
         Raises:
             UsageError: a wrong number of values, or one that is not finite.
         """
-        return checked_parts(position, velocity, self.n)
+        return checked_parts(self.n, position, velocity)
 
 
 def refuse_squares(system: System, what: str) -> None:
@@ -367,11 +364,11 @@ def moving_system(system: System, grounds: Grounds) -> System:
     return replace(system, forcing=frame.total(system.M, system.C, system.K), frame=frame)
 
 
-def checked_parts(position: ArrayLike, velocity: ArrayLike, n: int) -> tuple[Vector, Vector]:
+def checked_parts(n: int, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
     """``position`` and ``velocity`` as read-only arrays of shape (n,).
 
     Raises:
-        UsageError: a wrong number of values, or one that is not finite or too large.
+        ModelError: a wrong number of values, or one that is not finite or too large.
     """
     wanted = f"{n} numbers, one a coordinate"
     return (

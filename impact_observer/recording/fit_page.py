@@ -22,7 +22,6 @@ from impact_observer.io.bag_files import SIGNAL_FILES, storage_of
 from impact_observer.io.bag_part import FILE_ZERO, TimeZero, time_zero
 from impact_observer.io.observed_bag import events_from
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import impact_estimates
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.model_file import ModelText, model_text
@@ -155,7 +154,7 @@ def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list
         (rows,) = impact_rows(reader, [_IMPACTS], lambda *_: None, zero)
         words = {**rows.words, "model": [word] * rows.stamps.size}
         write_table(folder / "impacts.csv", [rows._replace(words=words)])
-        hits = impact_estimates(reader)[_IMPACTS]
+        hits = [*reader.impact_estimates(_IMPACTS)]
         states = reader.observer_states(_STATES, system.coordinates)
     deviations = states.deviations[:, : system.n]
     motion = PlottedMotion(system.coordinates, states.stamps, states.q, deviations)

@@ -661,7 +661,7 @@ class Robot:
         Raises:
             UsageError: a wrong number of values, or one that is not finite.
         """
-        return checked_parts(position, velocity, self.n)
+        return checked_parts(self.n, position, velocity)
 
     def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
         """The initial state of a plant, outside all planes.

@@ -80,23 +80,17 @@ class DetectorNode(BaseNode):
         Raises:
             UsageError: they do not, or the type is not installed.
         """
-        complete = [each.complete(type_name) for each in self._sources[topic]]
+        sources = [each.complete(type_name) for each in self._sources[topic]]
         message_class(type_name)
-        self._put(topic, complete)
-        latched = offer.transient_local and self._wants_past_messages(topic)
-        return Quality(offer.reliable, offer.reliable and latched, _DEPTH)
-
-    def _put(self, topic: str, sources: Sequence[Source]) -> None:
-        """Detect in a topic by ``sources`` from now on, which are complete."""
         if topic not in self._indices:
             self._indices[topic] = [*map(self._detector.add_source, sources)]
         for index, source in zip(self._indices[topic], sources, strict=True):
             self._detector.change_source(index, source)
-
-    def _wants_past_messages(self, topic: str) -> bool:
-        """Whether past messages are useful: messages of a switch with known times."""
-        kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
-        return SWITCH in kinds and not self.get_clock().ros_time_is_active
+        # Of use are past messages of a switch, where their times are known.
+        has_times = not self.get_clock().ros_time_is_active
+        wants_past = has_times and any(each.kind == SWITCH for each in sources)
+        is_latched = offer.reliable and offer.transient_local and wants_past
+        return Quality(offer.reliable, is_latched, _DEPTH)
 
     def _on_messages(self, topic: str, taken: Sequence[_Taken]) -> None:
         """Publish the events in messages, unless simulated time has not begun."""

@@ -12,7 +12,7 @@ import numpy as np
 from impact_observer.dynamics import mechanism_of
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface, Quality
-from impact_observer.io.messages import EstimateError, JointState, read_joint_state
+from impact_observer.io.messages import EstimateError, JointState, read
 from impact_observer.model import read_model
 from impact_observer.model.multibody import errors_of, multibody_of
 from impact_observer.ros import parameters
@@ -54,7 +54,7 @@ class MonitorNode(BaseNode):
             self,
             Interface(topic, interfaces.JOINT_STATE, Quality(depth=_DEPTH)),
             on_states,
-            read=lambda message, _: [read_joint_state(message).ordered(names)],
+            read=lambda message, _: [read(JointState, message).ordered(names)],
         )
 
     def _on_truth(self, states: Sequence[JointState]) -> None:

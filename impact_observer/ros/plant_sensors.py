@@ -6,11 +6,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count
 
-import numpy as np
-
 from impact_observer.events import Contacts
 from impact_observer.io.interfaces import SENSORS
-from impact_observer.io.messages import AnyMessage
 from impact_observer.io.simulated_samples import SampleSimulation, SimulatedMessage
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.multibody import Multibody
@@ -41,7 +38,7 @@ class PlantSensors:
             system,
             rate,
             seed,
-            lambda kind: message_class(kind)(),
+            node.make,
         )
         self._has_sensors = bool(measurements)
         quality = qos_profile(SENSORS)
@@ -76,17 +73,9 @@ class PlantSensors:
             self._next += 1
         while self._transit and self._transit[0][0] <= last:
             _, _, each = heapq.heappop(self._transit)
-            self._publishers[each.topic].publish(_with_lists(each.message))
+            self._publishers[each.topic].publish(each.message)
 
     @property
     def _sample_stamp(self) -> int:
         """Stamp of the next samples, ns."""
         return self._simulation.stamp(self._epoch, self._next)
-
-
-def _with_lists(message: AnyMessage) -> AnyMessage:
-    """The message with lists instead of NumPy arrays, which ROS does not take."""
-    for name in ("position", "velocity", "effort"):
-        if isinstance(values := getattr(message, name, None), np.ndarray):
-            setattr(message, name, values.tolist())
-    return message

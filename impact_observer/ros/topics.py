@@ -53,35 +53,19 @@ def _floats(values: Vector) -> "array[float]":
 
 def qos_profile(quality: Quality) -> QoSProfile:
     """The profile of ``quality``, to offer or to request."""
-    reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
-    durability = (
-        DurabilityPolicy.TRANSIENT_LOCAL if quality.transient_local else DurabilityPolicy.VOLATILE
-    )
-    history = HistoryPolicy.KEEP_LAST if quality.depth else HistoryPolicy.KEEP_ALL
+    offered = quality.offered()  # its policies have the numbers of those of rclpy
     return QoSProfile(
-        history=history, depth=quality.depth, reliability=reliability, durability=durability
-    )
-
-
-def offered_quality(profile: QoSProfile, depth: int = 10) -> Quality:
-    """The quality of service of a publisher.
-
-    Args:
-        profile: profile of the publisher; unspecified policies count as reliable and volatile.
-        depth: depth of a publisher in another process, whose history is not visible.
-    """
-    kept = {HistoryPolicy.KEEP_ALL: 0, HistoryPolicy.KEEP_LAST: max(profile.depth, 1)}
-    return Quality(
-        reliable=profile.reliability != ReliabilityPolicy.BEST_EFFORT,
-        transient_local=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-        depth=kept.get(profile.history, depth),
+        history=HistoryPolicy(offered.history.value),
+        depth=offered.depth,
+        reliability=ReliabilityPolicy(offered.reliability.value),
+        durability=DurabilityPolicy(offered.durability.value),
     )
 
 
 def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality:
     """The quality of service that all publishers of a topic offer; at least one publisher."""
     depth = usual_quality(topic).depth
-    return Quality.common(offered_quality(each.qos_profile, depth) for each in publishers)
+    return Quality.common(Quality.of_publisher(each.qos_profile, depth) for each in publishers)
 
 
 class PolledGroup(CallbackGroup):

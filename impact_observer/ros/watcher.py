@@ -21,9 +21,9 @@ from impact_observer.io.interfaces import interface
 from impact_observer.io.messages import (
     AnyMessage,
     JointState,
+    read,
     read_estimate,
     read_event,
-    read_joint_state,
     read_verdict,
 )
 from impact_observer.model import parse_model
@@ -89,7 +89,7 @@ class Listener:
                 row = {"stamp": verdict.stamp, "contact": verdict.contact, "verdict": ruling}
                 self._verdicts[owner].appendleft({**row, "reason": verdict.reason})
             elif kind == interfaces.PLANT_JOINT_STATES:
-                state = read_joint_state(message)
+                state = read(JointState, message)
                 _keep(self._truths[namespace], state.stamp, state)
             elif kind == interfaces.PLANT_MODEL:
                 system = multibody_of(parse_model(message.data, topic))

@@ -27,10 +27,7 @@ def following() -> dict[str, str]:
 def local_discovery() -> tuple[Any, Any]:
     """The launch argument ``local``, and the action that limits discovery of later nodes."""
     # Imported here, as the demo command needs no launch.
-    from launch.actions import (
-        DeclareLaunchArgument,
-        SetEnvironmentVariable,
-    )
+    from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
     from launch.conditions import IfCondition
     from launch.substitutions import LaunchConfiguration
 

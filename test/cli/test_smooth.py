@@ -14,7 +14,6 @@ from impact_observer.cli.main import main
 from impact_observer.events import Ruling
 from impact_observer.io.messages import read_stamp
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import impact_estimates
 from impact_observer.resources import shared
 
 
@@ -37,7 +36,8 @@ def test_smoothed_bag_is_compared_drawn_and_exported_as_any_estimate(
     with BagReader(output) as reader:
         impacts = [message for _, message in reader.messages("/smoother/impacts")]
         verdicts = [*reader.verdicts("/smoother/verdicts")]
-        ((topic, estimates),) = impact_estimates(reader).items()
+        (topic,) = reader.impact_topics()
+        estimates = [*reader.impact_estimates(topic)]
         assert {"/impacts", "/plant/joint_states", "/plant/model"} <= reader.topics.keys()
     assert topic == "/smoother/impact_estimates"
     stamps = [read_stamp("stamp", each.header.stamp) for each in impacts]

@@ -12,7 +12,7 @@ from systems import examples
 
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.io import BagReader, BagWriter, interfaces
-from impact_observer.io.messages import MessageError, read_estimate, read_joint_state
+from impact_observer.io.messages import JointState, MessageError, read, read_estimate
 from impact_observer.io.observed_bag import in_log_order, messages_of, sample_stamps
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.stamps import NS_PER_S
@@ -44,7 +44,7 @@ def test_an_estimate_has_two_messages_with_its_state() -> None:
         both = [*messages_of(estimate, names, serialize, "smoother")]
         assert [topic for _, topic, _ in both] == ["/smoother/joint_states", "/smoother/state"]
         assert {log_time for log_time, _, _ in both} == {estimate.stamp}
-        joints = read_joint_state(deserialize(typestore(), both[0][2], JOINTS.type))
+        joints = read(JointState, deserialize(typestore(), both[0][2], JOINTS.type))
         assert (joints.stamp, joints.names) == (estimate.stamp, names)
         np.testing.assert_array_equal(joints.q, estimate.q)
         np.testing.assert_array_equal(joints.u, estimate.u)

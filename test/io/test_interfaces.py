@@ -60,13 +60,13 @@ def test_table_offers_the_quality_of_the_contract() -> None:
 @given(quality=QUALITIES)
 def test_quality_survives_a_bag(quality: Quality) -> None:
     """The quality that is offered is read back."""
-    assert Quality.recorded(quality.offered()) == quality
+    assert Quality.of_publisher(quality.offered()) == quality
 
 
 def test_depth_that_a_recorder_could_not_see_is_the_usual_one() -> None:
     """``ros2 bag record`` writes the history ``unknown``."""
     offered = EVENTS.offered()._replace(history=QosHistory.UNKNOWN, depth=0)
-    assert Quality.recorded(offered, depth=2000) == EVENTS
+    assert Quality.of_publisher(offered, depth=2000) == EVENTS
 
 
 def test_quality_left_open_is_read_as_reliable_and_volatile() -> None:
@@ -74,7 +74,7 @@ def test_quality_left_open_is_read_as_reliable_and_volatile() -> None:
     offered = STATES.offered()._replace(
         reliability=QosReliability.SYSTEM_DEFAULT, durability=QosDurability.UNKNOWN
     )
-    assert Quality.recorded(offered) == STATES
+    assert Quality.of_publisher(offered) == STATES
 
 
 @given(offers=st.lists(QUALITIES, min_size=1, max_size=4))

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -157,7 +158,7 @@ VALUES: dict[str, tuple[SearchStrategy[Any], str, Maker, Reader]] = {
         joint_states(),
         interfaces.JOINT_STATE,
         Messages.joint_state,
-        m.read_joint_state,
+        partial(m.read, JointState),
     ),
     "estimate": (
         estimates(),
@@ -169,7 +170,7 @@ VALUES: dict[str, tuple[SearchStrategy[Any], str, Maker, Reader]] = {
         ESTIMATED_IMPACTS,
         interfaces.IMPACT_ESTIMATE,
         Messages.impact_estimate,
-        m.read_impact_estimate,
+        partial(m.read, ImpactEstimate),
     ),
     "smoothed_impact": (
         SMOOTHED,

@@ -8,7 +8,7 @@ import pytest
 
 from impact_observer.errors import BagError
 from impact_observer.io import BagReader, BagWriter, interfaces
-from impact_observer.io.messages import JointState, bag_messages, read_estimate, read_joint_state
+from impact_observer.io.messages import JointState, bag_messages, read, read_estimate
 from impact_observer.io.typestores import typestore
 from impact_observer.states import Estimate
 
@@ -62,7 +62,7 @@ def test_joint_states_equal_their_messages(tmp_path: Path) -> None:
         states = reader.joint_states(TRUTH)
     assert states.names == ("x1", "x2")
     for i, each in enumerate(messages):
-        one = read_joint_state(each).ordered(states.names)
+        one = read(JointState, each).ordered(states.names)
         assert states.stamps[i] == one.stamp
         assert states.q[i].tobytes() == one.q.tobytes()
         assert states.u[i].tobytes() == one.u.tobytes()

@@ -12,6 +12,7 @@ from systems import (
     EPOCH,
     distance,
     examples,
+    ground_motion,
     largest_rise,
     numbers,
     passes_eigenvalue_test,
@@ -23,7 +24,7 @@ from systems import (
 
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
-from impact_observer.model.grounds import Grounds, LiveNames, motion_of
+from impact_observer.model.grounds import Grounds, LiveNames
 from impact_observer.model.live_signals import connected
 from impact_observer.model.rebounds.power_law import PowerLaw
 from impact_observer.model.system import moving_system
@@ -60,8 +61,7 @@ def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
     forcing = model.forcing.added(Forcing.of_samples(Samples.of_jets(np.arange(3.0), jets)))
     model = replace(model, contacts=contacts, forcing=forcing)
     shift, stiffness, damping = (np.array([draw(vectors(2)) for _ in range(n)]) for _ in range(3))
-    harmonics = [(k, draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0)), 1.0) for k in (0, 1)]
-    motion = motion_of(2, harmonics)
+    motion = ground_motion(draw)
     factors = -(model.W.T @ shift)
     model = moving_system(
         model, Grounds(("shaken", "steered"), motion, (0, 1), stiffness, damping, factors)

@@ -15,7 +15,6 @@ from two_masses import MODEL
 from impact_observer.cli.main import main
 from impact_observer.io import BagReader, BagWriter, Quality
 from impact_observer.io.messages import bag_messages
-from impact_observer.io.recordings import impact_estimates
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
 from impact_observer.plant import Run, simulate
@@ -138,7 +137,8 @@ def test_one_command_gives_numbers_table_and_picture(
     fitted = read_model(rig / "out" / "fitted.yaml")
     assert fitted.system.eps[0] == pytest.approx(0.7, abs=0.01)
     with BagReader(rig / "out" / "smoothed") as reader:
-        (found,) = impact_estimates(reader).values()
+        (topic,) = reader.impact_topics()
+        found = [*reader.impact_estimates(topic)]
     truth = speeds(run)
     assert len(found) == truth.size
     estimates = np.array([each.speed_before for each in found])

@@ -26,19 +26,14 @@ from std_srvs.srv import Trigger
 
 from impact_observer.cli.main import main
 from impact_observer.errors import DynamicsError
+from impact_observer.events import ImpactEstimate as Estimated
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Kind, Remark, Ruling, Switch
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
-from impact_observer.io.messages import read_estimate, read_impact_estimate
+from impact_observer.io.messages import read, read_estimate
 from impact_observer.io.reader import BagReader
 from impact_observer.model import read_model
-from impact_observer.observer import (
-    Observer,
-    Options,
-    initial_state,
-    law_named,
-    make_observer,
-)
+from impact_observer.observer import Observer, Options, initial_state, law_named, make_observer
 from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
 from impact_observer.ros.observer_node import MOST_DUE, ObserverNode, due_stamps
@@ -300,7 +295,7 @@ def test_live_estimates_of_impacts_are_those_of_observe(tmp_path: Path, law: str
             rig.tick(each.stamp + 1_000_000)
             rig.send(each)
         rig.spinner.settle()
-    live = [read_impact_estimate(each) for each in rig.hits]
+    live = [read(Estimated, each) for each in rig.hits]
     final = {(each.sequence, each.contact): each for each in live if each.sequence}
     inserted = {each for each in live if each.ruling is Ruling.INSERTED}
     withdrawn = [each for each in live if each.ruling is Ruling.REJECTED and not each.sequence]

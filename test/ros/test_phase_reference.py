@@ -72,7 +72,7 @@ def test_diagnostics_warn_of_inputs_that_are_silent(tmp_path: Path) -> None:
         pulses.publish(Header(stamp=make.time(now)))
         spinner.until(lambda: bool(found) and values().get("samples") == "1")
         assert values()["age of motor [s]"] == "inf"
-        forces.publish(make.forces(now, {"motor": 1.0}))
+        forces.publish(make.joints(now, ["motor"], effort=[1.0]))
         switch = ContactSwitch(contact="stop", kind=ContactSwitch.IMPACT)
         event = ImpactEvent(sequence=1, switches=[switch])
         event.header.stamp = make.time(now + NS_PER_S)

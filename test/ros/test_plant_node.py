@@ -22,7 +22,8 @@ from systems import EPOCH
 from impact_observer.errors import InputTimeoutError
 from impact_observer.events import Kind
 from impact_observer.io.interfaces import EVENTS, FORCING, LATCHED, SENSORS, STATES, Quality
-from impact_observer.io.messages import read_event, read_joint_state, read_stamp
+from impact_observer.io.messages import JointState as State
+from impact_observer.io.messages import read, read_event, read_stamp
 from impact_observer.io.simulated_samples import SampleSimulation, samples_of_run
 from impact_observer.model import parse_model, read_model
 from impact_observer.model.measurement import read_measurements
@@ -120,7 +121,7 @@ def test_a_plant_waits_for_its_inputs_and_ends_without_them(tmp_path: Path) -> N
         spinner.settle()
         for stamp, value in live_rig.samples():
             if stamp <= end:
-                forces.publish(ros_messages().forces(stamp, {"motor": value}))
+                forces.publish(ros_messages().joints(stamp, ["motor"], effort=[value]))
                 spinner.executor.spin_once(timeout_sec=0.0)  # no more wait than the topic keeps
         with pytest.raises(InputTimeoutError, match="no sample of motor for"):
             spinner.until(lambda: False)
@@ -221,7 +222,7 @@ def test_a_robot_is_simulated_live_as_offline(tmp_path: Path) -> None:
     run = simulate(Plant(multibody_of(sample), *sample.initial_state(), epoch=EPOCH), stamps)
     assert [stamp_of(each) for each in events] == [each.stamp for each in run.events] != []
     assert len(truth) >= 50
-    for each in map(read_joint_state, truth):
+    for each in (read(State, message) for message in truth):
         k = int(np.searchsorted(stamps, each.stamp))
         np.testing.assert_array_equal([*each.q, *each.u], run.states[k])
     assert len(encoders) >= 20

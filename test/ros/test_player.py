@@ -18,11 +18,11 @@ pytest.importorskip("impact_observer_msgs")
 
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.io import BagReader, BagWriter, interfaces
+from impact_observer.io import BagReader, BagWriter, Quality, interfaces
 from impact_observer.io.messages import bag_messages, read_event, read_stamp
 from impact_observer.ros.player import Player, play
 from impact_observer.ros.session import ros_node
-from impact_observer.ros.topics import message_class, offered_quality, qos_profile
+from impact_observer.ros.topics import message_class, qos_profile
 
 if TYPE_CHECKING:
     from impact_observer.io.messages import AnyMessage
@@ -156,7 +156,7 @@ def test_late_listener_gets_events_and_model_until_the_end(sample_bag: Path) -> 
         player = Player(node, reader, rate=10.0)
         player.play()
         infos = node.get_publishers_info_by_topic("/impacts")
-        offered = [offered_quality(info.qos_profile, depth=2000) for info in infos]
+        offered = [Quality.of_publisher(info.qos_profile, depth=2000) for info in infos]
         with listening("/impacts", "/plant/model") as received:
             player.finish()
             wait_for(received, 12)
@@ -165,9 +165,7 @@ def test_late_listener_gets_events_and_model_until_the_end(sample_bag: Path) -> 
 
 
 def test_what_cannot_be_played_is_named(
-    tmp_path: Path,
-    sample_bag: Path,
-    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path, sample_bag: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A foreign type and a publisher beside are warnings; the recorded clock is left out."""
     foreign = tmp_path / "foreign"

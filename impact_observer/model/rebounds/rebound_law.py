@@ -97,15 +97,14 @@ class ReboundLaw(ABC):
         """``dr/dgamma`` at contact speeds of any shape, m/s."""
 
     @property
+    @abstractmethod
     def parameters(self) -> tuple[ReboundParameter, ...]:
         """The numbers that may be estimated, in the order of ``units``."""
-        return ()
 
+    @abstractmethod
     def with_values(self, values: Sequence[float]) -> "ReboundLaw":
         """The law with other ``values`` of its parameters, unchecked."""
-        del values
-        return self
 
+    @abstractmethod
     def sensitivity(self, gamma: Vector) -> Vector:
         """``dr`` by each parameter, the last axis, at contact speeds of any shape, m/s."""
-        return np.zeros((*np.shape(gamma), 0))
