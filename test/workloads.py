@@ -39,7 +39,7 @@ WITH_ROS = {
 def make_inputs(folder: Path) -> dict[str, str]:
     """What the commands read, by its name in their arguments."""
     plant, bag, table = folder / "plant", folder / "bag", folder / "impacts.csv"
-    simulated = ["simulate", "two_mass", "--duration", "8", "--rate", "5", "-o", str(plant)]
+    simulated = ["simulate", "two_mass", "--duration", "12", "--rate", "5", "-o", str(plant)]
     assert main(simulated) == 0
     assert main(["observe", str(plant), "--initial-state", "random:1", "-o", str(bag)]) == 0
     assert main(["export", str(plant), "--what", "events", "-o", str(table)]) == 0
