@@ -48,8 +48,7 @@ def stamp_of(message: JointState | ImpactEvent) -> int:
 
 def test_events_of_the_simulated_sensor_are_published_on_arrival() -> None:
     """Every event comes in the order of arrival, also after the end of the duration."""
-    seconds = 10
-    last = EPOCH + seconds * NS_PER_S
+    seconds, last = 10, EPOCH + 10 * NS_PER_S
     faults = {"delay": 0.02, "jitter": 0.002, "missed": 0.1, "spurious": 2.0, "transport": 1.0}
     given = {
         **OWN_CLOCK,
