@@ -24,6 +24,7 @@ class ImpactState:
     """What a hypothesis knows of an impact at its own instant, before the jump.
 
     Attributes:
+        mechanism: of the hypothesis, near its parameters.
         contacts: those that hit.
         held: contacts that are closed before.
         x: (q, u), shape (2n,).
@@ -33,39 +34,44 @@ class ImpactState:
         early: how much before the stamp of an event the instant is, s.
     """
 
+    mechanism: Mechanism
     contacts: Contacts
     held: Contacts
     x: Vector
     z: Vector
     root: Matrix
     scatter: float
-    early: float = 0.0
+    early: float
 
 
 def impact_states(
     mechanism: Mechanism,
-    impact: tuple[Contacts, Sequence[Contacts], Vector],
+    contacts: Contacts,
     states: Array,
     roots: Array,
+    *,
+    held: Sequence[Contacts],
     scatter: Vector,
+    early: Vector | float = 0.0,
 ) -> list[ImpactState]:
     """What H hypotheses know of an impact.
 
     Args:
         mechanism: near their parameters.
-        impact: contacts that hit, contacts that each holds closed before, and how much before the
-            stamp of the event each has it, s, shape (H,).
+        contacts: those that hit.
         states: at its instant, shape (H, N).
         roots: of their covariances there, shape (H, N, any).
+        held: contacts that each holds closed before.
         scatter: relative errors of the impulse, shape (H,).
+        early: how much before the stamp of an event each has it, s, shape (H,).
     """
-    contacts, held, early = impact
     d, p = 2 * mechanism.system.n, mechanism.theta.size
     x, gaps = states[:, :d], mechanism.gaps(states[:, :d])
     z = np.hstack([gaps.gamma, states[:, d : d + p]])
     root = np.concatenate([gaps.W @ roots[:, d // 2 : d], roots[:, d : d + p]], axis=1)
-    each = zip(held, x, z, root, scatter.tolist(), early.tolist(), strict=True)
-    return [ImpactState(contacts, *own) for own in each]
+    when = np.broadcast_to(early, len(x)).tolist()
+    each = zip(held, x, z, root, scatter.tolist(), when, strict=True)
+    return [ImpactState(mechanism, contacts, *own) for own in each]
 
 
 def mixed(states: Sequence[ImpactState], weights: Vector) -> ImpactState:
@@ -78,17 +84,17 @@ def mixed(states: Sequence[ImpactState], weights: Vector) -> ImpactState:
     return replace(best, root=np.hstack(parts))
 
 
-def balance_of(state: ImpactState, mechanism: Mechanism, least: Vector) -> ImpactBalance:
+def balance_of(state: ImpactState, least: Vector) -> ImpactBalance:
     """The balance of the contacts that hit.
 
     Args:
         state: at the instant of the impact.
-        mechanism: near its parameters.
         least: standard deviations of (q, u) beside its own, shape (2n,).
 
     Raises:
         ImpactLawError: the impact law has no solution.
     """
+    mechanism = state.mechanism
     n, m, p = mechanism.system.n, mechanism.system.m, mechanism.theta.size
     active = tuple(sorted({*state.held, *state.contacts}))
     own, gamma = list(active), state.z[list(active)]

@@ -9,6 +9,7 @@ stamp again. No root is divided by a speed, so grazing needs no care.
 Considered parameters are not corrected: their rows of the gain are zero (Schmidt 1966).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -178,25 +179,36 @@ def _jumped(
         sunk=np.zeros_like(rows.sunk),
         tried=np.zeros_like(rows.tried),
     )
-    return rows, _states_at_jump(rows, stamped, back, hit, flights)
+    return rows, _states_at_jump(rows, stamped, back, hit, flights, times=times)
 
 
 def _states_at_jump(
-    rows: Hypotheses, stamped: Stamped, back: Flown, hit: Hit, flights: Flights
+    rows: Hypotheses,
+    stamped: Stamped,
+    back: Flown,
+    hit: Hit,
+    flights: Flights,
+    *,
+    times: Sequence[Elapsed],
 ) -> list[ImpactState]:
-    """What hypotheses know ``v`` before the stamp, where the flights ``back`` have led."""
+    """What hypotheses know at ``times``, ``v`` before the stamp, where flights ``back`` led."""
     x, v, root = stamped
     (H, N), d = x.shape, flights.d
-    times = [hit.t + -each for each in v.tolist()]
     rates = flights.mechanism.rates(times, back.x, hit.held)
     own = root[:, :N].copy()
     own[:, :d] = (
         back.Phi @ root[:, :d] + back.Gamma @ root[:, d:N] - rates[..., None] * root[:, N:]
     )
     own[:, :d] *= rows.persistence(flights.ladders)[:, None, None]
-    impact = hit.contacts, [hit.held] * H, v
-    scatter = flights.ladders.kicks[rows.r]
-    return impact_states(flights.mechanism, impact, np.hstack([back.x, x[:, d:]]), own, scatter)
+    return impact_states(
+        flights.mechanism,
+        hit.contacts,
+        np.hstack([back.x, x[:, d:]]),
+        own,
+        held=[hit.held] * H,
+        scatter=flights.ladders.kicks[rows.r],
+        early=v,
+    )
 
 
 def _pressed(own: Array, x: Array, hit: Hit, flights: Flights) -> tuple[Array, Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from impact_observer.bank.balance import ImpactState, balance_of, impact_states
+from impact_observer.bank.balance import ImpactState, impact_states
 from impact_observer.bank.bank import (
     OTHER,
     RESTART,
@@ -30,7 +30,6 @@ from impact_observer.bank.merge import merged, most_of
 from impact_observer.bank.notes import Event, decided
 from impact_observer.bank.predict import Flights, Leg, Reports
 from impact_observer.bank.sample_correction import LinearSample, Sampled, sampled
-from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.dynamics.mechanism import mechanism_near
 from impact_observer.events import Contacts
 from impact_observer.model.parametric_family import ParametricFamily
@@ -263,8 +262,9 @@ class ImpactBank:
             order = np.argsort(-logw)[:most]
             order = order[logw[order] > kept]
             if order.size:
-                stays, none = rows.take(order)._replace(logw=logw[order]), [None] * order.size
-                states = none if kind == SPURIOUS else self._resting(stays, event, flights)
+                stays = rows.take(order)._replace(logw=logw[order])
+                is_hit = kind != SPURIOUS
+                states = self._resting(stays, event, flights) if is_hit else [None] * order.size
                 z_of = sizes[order].tolist()
                 found.append(decided(stays, (event, bank.t), (kind, ""), z_of, states))
         replica = flights.mechanism.struck(bank.replica, event.hit)
@@ -333,10 +333,6 @@ class ImpactBank:
             rows = merged(rows, self.ladders, self.numbers, self.scan)
         rows = rows._replace(logw=rows.logw - np.logaddexp.reduce(rows.logw))
         return self._recentred(bank._replace(rows=rows)), found
-
-    def balance(self, state: ImpactState, bank: Bank, least: Vector) -> ImpactBalance:
-        """The balance of an impact; see ``balance_of``."""
-        return balance_of(state, self.flights(bank.constants).mechanism, least)
 
     def _is_in_error(self, rows: Hypotheses) -> bool:
         """Whether the model is almost surely in error, which nothing declares."""
@@ -427,9 +423,12 @@ class ImpactBank:
             root = _known(flights.guard(contact, whole).by[0, : self.d], root)
         rows = self._begun_anew(bank.rows, replica, root, event.closed, logw)
         rows = rows._replace(just=np.full_like(rows.just, bits(event.hit)))
-        x, scatter = np.concatenate([bank.replica, self.nominal])[None], np.zeros(1)
-        impact = event.hit, [bank.closed], np.zeros(1)
-        states = impact_states(flights.mechanism, impact, x, rows.S[:1], scatter) * rows.size
+        x, known = np.concatenate([bank.replica, self.nominal])[None], rows.S[:1]
+        held, scatter = [bank.closed], np.zeros(1)
+        (state,) = impact_states(
+            flights.mechanism, event.hit, x, known, held=held, scatter=scatter
+        )
+        states = [state] * rows.size
         return decided(rows, (event, bank.t), (RESTART, ""), [-1.0] * rows.size, states)
 
     def _resting(self, rows: Hypotheses, event: Event, flights: Flights) -> list[ImpactState]:
@@ -439,8 +438,9 @@ class ImpactBank:
             for each in rows.held.tolist()
         ]
         roots, scatter = rows.published(self.ladders), self.ladders.kicks[rows.r]
-        impact = event.hit, held, np.zeros(rows.size)
-        return impact_states(flights.mechanism, impact, rows.x, roots, scatter)
+        return impact_states(
+            flights.mechanism, event.hit, rows.x, roots, held=held, scatter=scatter
+        )
 
 
 def _known(row: Vector, root: Matrix) -> Matrix:

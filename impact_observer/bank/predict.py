@@ -414,11 +414,8 @@ class Flights:
         early = (guard.by / slow[:, None])[:, None, :]
         roots = rows.published(self.ladders)
         roots[:, :d] -= before[:, :, None] * (early @ roots)
-        impact, scatter = (
-            ((contact,), [leg.held] * len(x), np.zeros(len(x))),
-            self.ladders.kicks[rows.r],
-        )
-        states = impact_states(mechanism, impact, rows.x, roots, scatter)
+        held, scatter = [leg.held] * len(x), self.ladders.kicks[rows.r]
+        states = impact_states(mechanism, (contact,), rows.x, roots, held=held, scatter=scatter)
         change = after - (jumps.Phi @ before[..., None])[..., 0]
         late = change[:, :, None] * early
         Xi = late + np.pad(jumps.Phi, ((0, 0), (0, 0), (0, late.shape[2] - d)))

@@ -659,7 +659,7 @@ class Observer:
 
     def _inserted(self, stamp: int, missed: ImpactState, timeline: Timeline) -> ImpactEstimate:
         """The estimate of an impact that was inserted at ``stamp`` (ns)."""
-        (own,) = self.law.missed_balance(missed, timeline.entry_at(stamp).belief).rows.tolist()
+        (own,) = self.law.known_balance(missed, timeline.entry_at(stamp).belief).rows.tolist()
         name = self._names[missed.contacts[0]]
         return ImpactEstimate(stamp, name, Ruling.INSERTED, 0, *own)
 

@@ -35,7 +35,7 @@ _NOISE = 3.0
 _SILENT = 0.01
 """Least height of a peak over the largest one, where silence is exact."""
 _QUIET = 0.2
-"""Share of the dead times in which nothing is heard but noise."""
+"""Share of the windows, a dead time long each, that hold noise alone."""
 _LOUD = 0.5
 """Least height of the peaks whose ringing is measured, relative to the largest one."""
 _MARGIN = 1.25
@@ -80,10 +80,12 @@ class SimulatedImpacts:
     Attributes:
         impacts: stamp, ns, and names of the contacts.
         seconds: for which the motion was simulated, s.
+        is_driven: whether forces keep the motion going.
     """
 
     impacts: list[tuple[int, tuple[str, ...]]]
     seconds: float
+    is_driven: bool
 
 
 def simulated_impacts(model: Model, seconds: float) -> SimulatedImpacts | None:
@@ -112,14 +114,15 @@ def simulated_impacts(model: Model, seconds: float) -> SimulatedImpacts | None:
         if (names := tuple(name for name, v in hit.items() if v >= _SOFT * fastest[name]))
     ]
     is_cut = len(impacts) == _MOST
-    return SimulatedImpacts(loud, seconds_between(NS_PER_S, impacts[-1][0]) if is_cut else seconds)
+    seconds = seconds_between(NS_PER_S, impacts[-1][0]) if is_cut else seconds
+    return SimulatedImpacts(loud, seconds, system.depends_on_time)
 
 
 def expected_impacts(
-    model: Model, seconds: float, contacts: Collection[str]
+    simulated: SimulatedImpacts | None, contacts: Collection[str]
 ) -> ExpectedImpacts | None:
-    """Simulate at most ``seconds``; return the impacts of some contacts, None without any."""
-    if (simulated := simulated_impacts(model, seconds)) is None:
+    """Return the impacts of some contacts as a simulated model has them, None without any."""
+    if simulated is None:
         return None
     stamps = [stamp for stamp, names in simulated.impacts if {*contacts} & {*names}]
     intervals = np.diff(np.array(stamps[len(stamps) // 4 :]) / NS_PER_S)
@@ -128,7 +131,7 @@ def expected_impacts(
     )
     if not usual.size:
         return None
-    rate = usual.size / float(intervals.sum()) if model.system.depends_on_time else 0.0
+    rate = usual.size / float(intervals.sum()) if simulated.is_driven else 0.0
     return ExpectedImpacts(float(np.quantile(usual, _QUANTILE)), rate)
 
 

@@ -29,6 +29,7 @@ from impact_observer.recording.detection_choice import (
     ChosenSource,
     choose_detection,
     expected_impacts,
+    simulated_impacts,
     usual_dead_time,
 )
 from impact_observer.stamps import NS_PER_S, seconds_between
@@ -249,9 +250,10 @@ def _chosen(
     sources, refused, doubts = list[Source](), list[Stamps](), list[str]()
     ends = [(int(stamps[0]), int(stamps[-1])) for stamps, _ in arrays.values()]
     seconds = max((seconds_between(*each) for each in ends), default=_USUAL)
+    simulated = simulated_impacts(task.model, seconds)
     for given in declared:
         own = task.model.noticed if len(declared) < len(task.model.noticed) else (given.contact,)
-        expected = expected_impacts(task.model, seconds, own)
+        expected = expected_impacts(simulated, own)
         chosen = ChosenSource(given, np.zeros(0, np.int64), ())
         if given.topic in arrays:
             chosen = choose_detection(given, *arrays[given.topic], expected)

@@ -13,6 +13,7 @@ from impact_observer.recording.detection_choice import (
     ExpectedImpacts,
     choose_detection,
     expected_impacts,
+    simulated_impacts,
 )
 from impact_observer.states import Stamps, Vector
 
@@ -158,18 +159,20 @@ def test_ever_softer_bounces_are_found() -> None:
 def test_a_model_tells_how_often_its_impacts_come() -> None:
     """The period-one motion of three_mass; a ball at rest tells nothing."""
     model = read_model("three_mass")
-    found = expected_impacts(model, 60.0, model.noticed)
+    found = expected_impacts(simulated_impacts(model, 60.0), model.noticed)
     assert found is not None
     assert 0 < found.interval < 1 / found.rate
-    assert expected_impacts(parse_model(BALL, "ball.yaml"), 10.0, ["floor"]) is None
+    resting = simulated_impacts(parse_model(BALL, "ball.yaml"), 10.0)
+    assert expected_impacts(resting, ["floor"]) is None
 
 
 def test_the_soft_end_of_a_chatter_is_not_expected() -> None:
     """A ball that loses half of its speed at each bounce: below an eighth nothing counts."""
     start = "initial_state: {position: [1], velocity: [0]}\n"
-    found = expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0, ["floor"])
+    simulated = simulated_impacts(parse_model(BALL + start, "ball.yaml"), 10.0)
+    found = expected_impacts(simulated, ["floor"])
     assert found is not None
     assert found.rate == 0
-    assert expected_impacts(parse_model(BALL + start, "ball.yaml"), 10.0, []) is None
+    assert expected_impacts(simulated, []) is None
     flight = 2 * np.sqrt(2 * 9.81) / 9.81
     assert flight / 16 < found.interval < flight / 4

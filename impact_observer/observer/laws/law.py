@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar
 
-from impact_observer.bank.balance import ImpactState
+from impact_observer.bank.balance import ImpactState, balance_of
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.errors import UsageError
@@ -113,13 +113,14 @@ class Law(ABC):
         values = impact_balance(self.system, active, pressed, gamma)
         return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
-    def missed_balance(self, missed: ImpactState, belief: Belief) -> ImpactBalance:
-        """The balance of a missed impact that the law inserts after a ``belief``.
+    def known_balance(self, state: ImpactState, belief: Belief) -> ImpactBalance:
+        """The balance of an impact of which hypotheses of a ``belief`` know the ``state``.
 
         Raises:
             ImpactLawError: the impact law has no solution.
         """
-        raise NotImplementedError(f"{self.name} inserts no impacts")
+        assert belief.bank is not None, "hypotheses"
+        return balance_of(state, self.uncertainty.least_deviations(state.x, belief.bank.sizes))
 
     def measure(
         self, readings: Sequence[Reading], before: Belief, prediction: Prediction, s: float

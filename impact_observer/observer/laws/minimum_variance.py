@@ -248,16 +248,7 @@ class MinimumVariance(Law):
                     states.append(note.state)
                     weights.append(weight)
                     break
-        return self._balance(mixed(states, np.array(weights)), after.bank) if states else None
-
-    def missed_balance(self, missed: ImpactState, belief: Belief) -> ImpactBalance:
-        """That of the hypothesis which inserts the impact."""
-        assert belief.bank is not None, "a belief of this law"
-        return self._balance(missed, belief.bank)
-
-    def _balance(self, state: ImpactState, bank: Bank) -> ImpactBalance:
-        least = self.uncertainty.least_deviations(state.x, bank.sizes)
-        return self.filter.balance(state, bank, least)
+        return self.known_balance(mixed(states, np.array(weights)), after) if states else None
 
     def doubt(self, belief: Belief, deviations: Vector) -> str:
         """Which deviation is too wide; empty if none is."""
