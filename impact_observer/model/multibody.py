@@ -6,6 +6,7 @@ the room that ``_MADE_BY`` names for it.
 """
 
 import math
+from collections.abc import Sequence
 from importlib import import_module
 from types import ModuleType
 from typing import Any, Protocol, TypeGuard
@@ -14,15 +15,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.model.forcing import Forcing
+from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.grounds import LiveNames
 from impact_observer.model.model_file import Model
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import System
 from impact_observer.states import Matrix, Vector
 
 _MADE_BY = {"RobotDescription": "impact_observer.robots"}
 """Modules that know a kind of model, by the type of its subject. Their function ``multibody``
-makes its system, and ``report`` what ``check-model`` says of it."""
+makes its system, ``family`` those with other parameters, and ``report`` what ``check-model``
+says of it."""
 
 
 class Multibody(Protocol):
@@ -157,6 +161,18 @@ def multibody_of(model: Model) -> Multibody:
     if isinstance(model.subject, System):
         return model.subject
     found: Multibody = _room_of(model).multibody(model)
+    return found
+
+
+def family_of_model(model: Model, names: Sequence[str]) -> ParametricFamily:
+    """The systems that differ from that of a ``model`` in the parameters of these ``names``.
+
+    Raises:
+        UsageError, ModelError: as ``multibody_of``, or a name is unknown.
+    """
+    if isinstance(model.subject, System):
+        return parametric_family(model.subject, names, model.elements)
+    found: ParametricFamily = _room_of(model).family(model, names)
     return found
 
 

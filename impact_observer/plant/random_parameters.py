@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A plant whose parameters differ from those of its model by random errors."""
 
-from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.model import Model
-from impact_observer.model.free_parameters import parametric_family
-from impact_observer.model.multibody import Multibody, multibody_of
+from impact_observer.model.multibody import Multibody, family_of_model
 from impact_observer.model.parameter_uncertainty import root_in_own_units
-from impact_observer.states import Vector
 
 _MOST_DRAWS = 1000
 """Draws until one must be possible."""
@@ -44,12 +40,18 @@ def random_plant(model: Model, seed: int) -> RandomPlant:
             f"{name}: no deviations of parameters found; expected some, such as restitution:"
             " {value: 0.7, deviation: 0.01}"
         )
-    nominal, made = _family(model, known.names)
+    family = family_of_model(model, known.names)
+    low, high = family.bounds
+    order = [known.names.index(each) for each in family.names]
+    nominal = family.nominal[np.argsort(order)]
     root, rng = root_in_own_units(known.covariance), np.random.default_rng(seed)
     for _ in range(_MOST_DRAWS):
         drawn = nominal + root @ rng.normal(size=len(root))
+        values = drawn[order]
+        if np.any((values < low) | (values > high)):
+            continue
         try:
-            system = made(drawn)
+            system: Multibody = family.system_at(values)
             if model.position is not None:
                 system.checked_start(*model.initial_state())
         except UsageError:
@@ -59,27 +61,3 @@ def random_plant(model: Model, seed: int) -> RandomPlant:
         f"{name}: none of {_MOST_DRAWS} draws of its parameters makes a plant; expected smaller"
         " deviations, or a start farther from the stops"
     )
-
-
-def _family(model: Model, names: tuple[str, ...]) -> tuple[Vector, Callable[[Vector], Multibody]]:
-    """Declared values of parameters, shape (p,), and a function of values that makes a plant.
-
-    The function raises UsageError for impossible values.
-    """
-    if (robot := model.robot) is not None:
-        values = np.array([robot.parameters[name] for name in names])
-
-        def described(drawn: Vector) -> Multibody:
-            own = robot.with_parameters(dict(zip(names, drawn.tolist(), strict=True)))
-            return multibody_of(replace(model, robot=own))
-
-        return values, described
-    family = parametric_family(model.system, names, model.elements)
-    low, high = family.bounds
-
-    def linear(drawn: Vector) -> Multibody:
-        if np.any((drawn < low) | (drawn > high)):
-            raise UsageError("a parameter is out of its bounds")
-        return family.system_at(drawn)
-
-    return family.nominal, linear

@@ -3,6 +3,7 @@
 
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot import robot_of as multibody
+from impact_observer.robots.robot_family import parametric_robots as family
 from impact_observer.robots.robot_mechanism import RobotMechanism
 from impact_observer.robots.robot_parameters import jump_by_parameters, rates_by_parameters
 from impact_observer.robots.robot_report import robot_json as report
@@ -12,6 +13,7 @@ __all__ = [
     "Robot",
     "RobotMechanism",
     "VelocityObserver",
+    "family",
     "jump_by_parameters",
     "multibody",
     "rates_by_parameters",

@@ -5,10 +5,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from impact_observer.model import System
+from impact_observer.model import Model, System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.robot_description import RESTITUTION
-from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot import Robot, robot_of
 from impact_observer.states import Vector
 
 
@@ -82,10 +82,19 @@ class RobotFamily(ParametricFamily):
         ]
         return cls(robot, tuple(sorted(found, key=lambda each: not each.moves)))
 
-    def robot_at(self, values: Vector) -> Robot:
+    def system_at(self, values: Vector) -> Robot:  # type: ignore[override]
         """The robot with other ``values``, shape (p,)."""
         known = dict(zip(self.names, values.tolist(), strict=True))
         return self.system.with_parameters(known)
+
+
+def parametric_robots(model: Model, names: Sequence[str]) -> RobotFamily:
+    """The family of the robot of a ``model`` with the parameters of these ``names``.
+
+    Raises:
+        UsageError, ModelError: as ``robot_of``.
+    """
+    return RobotFamily.named(robot_of(model), names)
 
 
 def family_of(system: System | Robot) -> ParametricFamily:

@@ -356,4 +356,4 @@ def _(robot: Robot) -> Mechanism:
 @mechanism_near.register
 def _(family: RobotFamily, theta: Vector) -> Mechanism:
     names = tuple(family.names)
-    return RobotMechanism(family.robot_at(theta) if names else family.system, names)
+    return RobotMechanism(family.system_at(theta) if names else family.system, names)
