@@ -117,6 +117,8 @@ def explanation(
         tried.append(moments.each)
         try:
             found = _revised(replace(problem, moments=moments), theta, reported, options, show)
+            if not found.verdict.fits and problem.clock is None and resolution:
+                found = _at_resolution(found, resolution, reported, options, show)
         except (DynamicsError, np.linalg.LinAlgError):
             continue
         if best is None or found.is_better_than(best):
@@ -126,10 +128,6 @@ def explanation(
             break
     if best is None:
         raise DynamicsError("no motion explains the impacts")
-    if problem.clock is None and 0 < best.fit.rms <= resolution / 2:
-        # of a periodic motion the rounding repeats itself, which says nothing of the model
-        rounded = replace(best.fit.problem, clock=resolution)
-        return _explained(fitted(rounded, best.fit, show=show), reported, options)
     return best
 
 
@@ -152,6 +150,24 @@ def _revised(
             break
         best = found
     return best
+
+
+def _at_resolution(
+    found: Explanation,
+    resolution: float,
+    reported: Moments,
+    options: Options,
+    show: Callable[[str], None],
+) -> Explanation:
+    """Return the explanation by stamps no better than their ``resolution``, s, if that one fits.
+
+    Of a periodic motion the rounding repeats itself, which says nothing of the model.
+    """
+    if found.fit.sizes.clock > resolution / 2:
+        return found
+    rounded = replace(found.fit.problem, clock=resolution)
+    other = _explained(fitted(rounded, found.fit, show=show), reported, options)
+    return other if other.verdict.fits else found
 
 
 def _from_phases(

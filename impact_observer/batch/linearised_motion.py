@@ -212,7 +212,7 @@ def _own_instants(  # noqa: PLR0917
     """Return the own instants of the moments ``own``, from states ``x`` at the stamps."""
     t, before = [moments.each[k].t for k in own.tolist()], switching.before
     gaps = tangent.gaps(switching.hit)
-    late, is_regular = _first_late(tangent, moments, own, x, gaps, before, usual)
+    late, is_regular, room = _first_late(tangent, moments, own, x, gaps, before, usual)
 
     def at_own_instant(
         late: Vector,
@@ -228,7 +228,8 @@ def _own_instants(  # noqa: PLR0917
 
     for _ in range(_NEWTON):
         *_, speeds, value = at_own_instant(late)
-        late = np.where(is_regular, late - value.mean(axis=1) / speeds.mean(axis=1), 0.0)
+        step = value.mean(axis=1) / speeds.mean(axis=1)
+        late = np.where(is_regular, np.clip(late - step, -room, room), 0.0)
     to, at, there, rate, speeds, value = at_own_instant(late)
     moved, by_theta = to.Gamma(x), gaps.Theta(there)
     return _OwnInstants(late, is_regular, to, moved, at, there, rate, speeds, value, by_theta)
@@ -292,8 +293,8 @@ def _first_late(  # noqa: PLR0917
     gaps: GuardRows,
     before: Contacts,
     usual: float,
-) -> tuple[Vector, NDArray[np.bool_]]:
-    """Return own instants minus stamps, by parabolas of the gaps, and which of them exist."""
+) -> tuple[Vector, NDArray[np.bool_], Vector]:
+    """Return own instants minus stamps, by parabolas of the gaps, which exist, and their bound."""
     t = [moments.each[k].t for k in own.tolist()]
     first, second = tangent.rates(t, x, before)
     guard = gaps.by_x.mean(axis=0)
@@ -305,4 +306,4 @@ def _first_late(  # noqa: PLR0917
     flights = np.append(moments.flights, np.inf)
     room = _REACH * np.minimum(flights[own], np.maximum(flights[own + 1], 0.0))
     does &= np.abs(late) <= room
-    return np.where(does, late, 0.0), does
+    return np.where(does, late, 0.0), does, room

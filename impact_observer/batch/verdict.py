@@ -65,9 +65,9 @@ def verdict_on(fit: MotionFit, rejected: int = 0) -> FitVerdict:
     size = 1.0
     if declared is not None and nu.size:
         size = float(special.chdtrc(nu.size, np.sum(nu**2)))
-    least = max(2 * ROUNDED, (declared or 0.0) / 2)
-    is_rounding = float(np.linalg.norm(fit.predicted)) <= least * np.sqrt(nu.size)
-    white = 1.0 if is_rounding else whiteness(nu)
+    # shifts that are small beside the clock error are no evidence, and may repeat themselves
+    least, late = max(2 * ROUNDED, (declared or 0.0) / 2), np.abs(fit.predicted)
+    white = whiteness(nu * np.maximum(late - least, 0.0) / np.maximum(late, least))
     moments = fit.problem.moments
     inserted = int(np.sum(fit.problem.errors.has_sensor[fit.problem.missed]))
     reported = rejected + moments.row_moment.size

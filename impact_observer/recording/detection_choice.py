@@ -67,23 +67,27 @@ class ExpectedImpacts:
     Attributes:
         interval: shortest usual interval between two impacts, s.
         rate: impacts a second; 0 of a motion that no force keeps going.
+        soft: impacts a second that are too soft for ``rate``, and apart from others.
     """
 
     interval: float
     rate: float
+    soft: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedImpacts:
-    """Impacts of a model, without the soft ones of a chatter.
+    """Impacts of a model: stamps, ns, and names of the contacts.
 
     Attributes:
-        impacts: stamp, ns, and names of the contacts.
+        impacts: without the soft ones of a chatter.
+        every: all impacts.
         seconds: for which the motion was simulated, s.
         is_driven: whether forces keep the motion going.
     """
 
     impacts: list[tuple[int, tuple[str, ...]]]
+    every: list[tuple[int, tuple[str, ...]]]
     seconds: float
     is_driven: bool
 
@@ -115,7 +119,8 @@ def simulated_impacts(model: Model, seconds: float) -> SimulatedImpacts | None:
     ]
     is_cut = len(impacts) == _MOST
     seconds = seconds_between(NS_PER_S, impacts[-1][0]) if is_cut else seconds
-    return SimulatedImpacts(loud, seconds, system.depends_on_time)
+    every = [(stamp, (*hit,)) for stamp, hit in impacts]
+    return SimulatedImpacts(loud, every, seconds, system.depends_on_time)
 
 
 def expected_impacts(
@@ -124,15 +129,24 @@ def expected_impacts(
     """Return the impacts of some contacts as a simulated model has them, None without any."""
     if simulated is None:
         return None
-    stamps = [stamp for stamp, names in simulated.impacts if {*contacts} & {*names}]
-    intervals = np.diff(np.array(stamps[len(stamps) // 4 :]) / NS_PER_S)
+    loud, every = (
+        np.array([stamp for stamp, names in impacts if {*contacts} & {*names}]) / NS_PER_S
+        for impacts in (simulated.impacts, simulated.every)
+    )
+    loud = loud[loud.size // 4 :]
+    intervals = np.diff(loud)
     usual = (
         intervals[intervals > _SHORTEST * np.median(intervals)] if intervals.size else intervals
     )
     if not usual.size:
         return None
-    rate = usual.size / float(intervals.sum()) if simulated.is_driven else 0.0
-    return ExpectedImpacts(float(np.quantile(usual, _QUANTILE)), rate)
+    found = ExpectedImpacts(float(np.quantile(usual, _QUANTILE)), 0.0)
+    if not simulated.is_driven:
+        return found
+    apart = np.diff(every[every >= loud[0]]) > usual_dead_time(found)
+    seconds = float(intervals.sum())
+    soft = max(int(np.sum(apart)) - usual.size, 0) / seconds
+    return replace(found, rate=usual.size / seconds, soft=soft)
 
 
 def usual_dead_time(expected: ExpectedImpacts | None) -> float:
@@ -202,8 +216,11 @@ def choose_detection(
     threshold = source.threshold
     if threshold is None:
         _, every = _peaks(t, height, floor, dead, decay)
-        count = expected.rate * float(t[-1]) if expected is not None and expected.rate else None
-        threshold, doubt = _threshold(height[every], floor, loudest, count)
+        counts = None
+        if expected is not None and expected.rate:
+            rates = expected.rate, expected.rate + expected.soft
+            counts = rates[0] * float(t[-1]), rates[1] * float(t[-1])
+        threshold, doubt = _threshold(height[every], floor, loudest, counts)
         doubts += [f"{source.contact}: {doubt}"] if doubt else []
     begins, tops = _peaks(t, height, threshold, dead, decay)
     is_turned = np.any(signal[begins] * signal[tops] < 0)
@@ -281,7 +298,7 @@ def _decay(  # noqa: PLR0917
 
 
 def _threshold(
-    heights: Vector, floor: float, loudest: float, count: float | None
+    heights: Vector, floor: float, loudest: float, counts: tuple[float, float] | None
 ) -> tuple[float, str]:
     """Return the threshold between impacts and other peaks, and why it is in doubt, if it is.
 
@@ -289,19 +306,19 @@ def _threshold(
         heights: of all peaks above ``floor`` that are no ringing.
         floor: least height of a peak.
         loudest: height up to which a peak may be noise.
-        count: number of impacts that the model expects; None if unknown.
+        counts: least and largest number of impacts that the model expects; None if unknown.
     """
     falling = np.append(np.sort(heights)[::-1], floor)
     number = np.arange(1, falling.size)
     score = np.log(falling[:-1] / falling[1:])
-    if count is not None:
-        score -= _PRIOR * np.abs(np.log(number / count))
+    least, most = counts or (1.0, np.inf)
+    score -= _PRIOR * np.abs(np.log(number / np.clip(number, least, most)))
     k, above = int(np.argmax(score)), int(np.sum(heights > loudest))
-    if above and (count is None or count / _RANGE <= above <= count * _SURPLUS):
+    if above and (counts is None or least / _RANGE <= above <= most * _SURPLUS):
         k = above - 1
     doubt = ""
-    if count is not None and not 1 / _RANGE <= number[k] / count <= _RANGE:
-        doubt = f"{number[k]} impacts found, about {count:.0f} expected of the model"
+    if counts is not None and not least / _RANGE <= number[k] <= most * _RANGE:
+        doubt = f"{number[k]} impacts found, about {least:.0f} expected of the model"
     return float(np.sqrt(falling[k] * falling[k + 1])), doubt
 
 
