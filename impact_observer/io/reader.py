@@ -124,7 +124,6 @@ class BagReader:
         """
         self.path, self.is_whole = Path(path), True
         self._open, self._store = ExitStack(), new_typestore()
-        self._defined = set[str]()  # topics whose definitions the store has
         self.low = 0
         self._limits: tuple[int, int] | None = None
         self._received: frozenset[str] = frozenset()
@@ -412,12 +411,10 @@ class BagReader:
         """Have the typestore know the type of a topic."""
         place, type_name = f"{self.path}: {info.name}", info.type
         try:
-            if info.definition and info.name not in self._defined:
+            if info.definition:
                 add_definition(self._store, info.definition, type_name)
-                self._defined.add(info.name)
         except BagError as error:
-            remedy = "read it with the version that made it"
-            raise BagError(f"{place}: {error}; {remedy}") from error
+            raise BagError(f"{place}: {error}; read it with the version that made it") from error
         if type_name not in self._store.fielddefs:
             raise BagError(
                 f"{place} is {type_name}, which neither this package nor the bag defines;"

@@ -9,12 +9,12 @@ import os
 import re
 import sys
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Nodetype
+from rosbags.interfaces import Msgdef, Nodetype
 from rosbags.interfaces.typing import Typesdict
 from rosbags.serde import SerdeError
 from rosbags.typesys import (
@@ -36,13 +36,22 @@ _IDL = re.compile(r"^\s*module\s+\w+\s*\{", re.MULTILINE)
 """Begins a definition as IDL; no text of a message type has such a line."""
 
 
+class _Extended(Typestore):
+    """The shared types and others. Code for the shared ones is compiled once in a process."""
+
+    def get_msgdef(self, typename: str) -> Msgdef[object]:
+        if typename not in self.cache and typename in typestore().fielddefs:
+            self.cache[typename] = typestore().get_msgdef(typename)
+        return super().get_msgdef(typename)
+
+
 def new_typestore() -> Typestore:
     """A typestore of ROS 2 Jazzy's and our message types; types may be added to it.
 
     Raises:
         UsageError: the package was installed without its message texts.
     """
-    known, store = typestore(), Typestore()
+    known, store = typestore(), _Extended()
     store.types.update(known.types)
     store.fielddefs.update(known.fielddefs)
     return store
@@ -57,6 +66,7 @@ def typestore() -> Typestore:
     return store
 
 
+@lru_cache(100)  # many bags have the same long ones
 def parse_definition(definition: str, type_name: str) -> Typesdict:
     """The types in a definition: the text of a message type, then those of its parts; or IDL.
 
@@ -82,7 +92,9 @@ def add_definition(store: Typestore, definition: str, type_name: str) -> None:
         BagError: the text is no definition of ``type_name``, or ``store`` has the type, or a part
             of it, with other fields.
     """
-    types = parse_definition(definition, type_name)
+    types, known = parse_definition(definition, type_name), store.fielddefs
+    if all(name in known and known[name][1] == fields for name, (_, fields) in types.items()):
+        return  # registering takes longer
     try:
         store.register(types)
     except TypesysError:
