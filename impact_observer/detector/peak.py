@@ -149,7 +149,7 @@ class PeakSensor(Sensor):
             if point[1] < self._low:
                 switches += self._on_deadline(time.received)
         elif point[1] >= scale * self._high and self._armed and time.stamp >= self._dead_until:
-            self._peak, self._loudest = self._begin(time, point, field), point
+            self._peak, self._loudest = self._begin(time, before, point, field), point
         is_low, is_high = (point[1] < scale * each for each in (self._low, self._high))
         self._armed = is_low or (self._armed and is_high)
         if self._baseline and self._peak is None:  # a peak would shift the mean
@@ -160,14 +160,11 @@ class PeakSensor(Sensor):
         self._before, self._field_before = point, field
         return switches
 
-    def _begin(self, time: SampleTime, point: Point, field: float) -> _Peak:
-        """Returns the peak that begins with a sample."""
+    def _begin(self, time: SampleTime, before: Point, point: Point, field: float) -> _Peak:
+        """Returns the peak that begins with a sample, which is never the first one."""
         sign = math.copysign(1.0, field)
-        left = None
-        if self._before is not None:
-            left = (self._before[0], self._field_before * sign)
-        first = _Top((time.stamp, field * sign), time.stamp, left)
-        return _Peak(time, sign, _Top(point, time.stamp, self._before), first)
+        first = _Top((point[0], field * sign), point[0], (before[0], self._field_before * sign))
+        return _Peak(time, sign, _Top(point, time.stamp, before), first)
 
     def _ringing(self, point: Point) -> float:
         """Returns the threshold at a sample, over the declared one."""

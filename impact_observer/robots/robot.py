@@ -545,12 +545,9 @@ class Robot:
 
     def projected(self, q: Vector, contacts: Sequence[int]) -> Vector:
         """The nearest ``q`` in the metric of ``M`` with ``g = 0`` on ``contacts``, shape (n,)."""
-        if not len(contacts):
-            return q
-        reach = self.reach[list(contacts)]
         for _ in range(_NEWTON_STEPS):
             g = self.gaps(q, contacts)
-            if np.all(np.abs(g) <= _ON_PLANE * reach):
+            if np.all(np.abs(g) <= _ON_PLANE * self.reach[list(contacts)]):
                 break
             W, held = self.kicks(q, contacts)
             q = q - held @ _least(W.T @ held, g)

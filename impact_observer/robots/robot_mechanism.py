@@ -219,12 +219,12 @@ class RobotMechanism:
         self, t: Sequence[float], x: Array, s: Vector, held: Contacts, /
     ) -> tuple[Array, Array]:
         """At the ends of the steps of each flight."""
-        (states, ends), robot, n = self._along(t, x, s, held), self.system, self.system.n
+        (states, ends), robot = self._along(t, x, s, held), self.system
         times = ends + np.array([float(each) for each in t])
         found = np.empty((len(ends), len(held), len(x)))
-        for k, h in np.ndindex(ends.shape):
-            q, u = np.split(states[k, h], [n])
-            found[k, :, h] = robot.loads(q, u, robot.torques(float(times[k, h])), held)
+        for (k, h), when in np.ndenumerate(times):
+            q, u = np.split(states[k, h], 2)
+            found[k, :, h] = robot.loads(q, u, robot.torques(when), held)
         return found, ends
 
     def _along(
@@ -247,11 +247,8 @@ class RobotMechanism:
 
     def pressed(self, x: Vector, active: Contacts, hit: Contacts, /) -> Contacts:
         """Newton's law decides; where all of them separate, those that ``hit``."""
-        if len(active) == 1:
-            return hit
         q, u = np.split(x, 2)
-        taking: Contacts = self.system.pushed(q, u, active)
-        return taking or hit
+        return self.system.pushed(q, u, active) or hit
 
     def forced(self) -> tuple[Vector, Vector]:
         """Zero: the motion of a robot is known by its encoders."""

@@ -5,6 +5,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -154,6 +155,15 @@ def test_a_source_of_another_type_goes_on_with_the_counts_of_its_contact() -> No
     assert detector.counts[0].impacts == 2
 
 
+def test_the_same_source_again_changes_nothing() -> None:
+    """A closure goes on: its end is no second impact."""
+    detector = two_switches()
+    detector.feed(0, Scalar(1.0), START)
+    detector.change_source(0, detector.sources[0])
+    (detected,) = detector.feed(0, Scalar(1.0), START + 500 * MS)
+    assert detected.event.switches == (Switch("floor", Kind.CLOSE),)
+
+
 def test_the_memory_of_a_detector_does_not_grow() -> None:
     """A pickled detector has the same size after a hundred impacts as after ten."""
     sizes = []
@@ -176,6 +186,26 @@ def test_a_sensor_without_impacts_reports_its_largest_signal() -> None:
     assert detector.problem(0) == (
         "stop: no impact in 1 messages on /force, at most 7.5 of the threshold 10"
     )
+
+
+def test_a_signal_above_its_threshold_from_the_first_sample_on_asks_for_a_baseline() -> None:
+    """Its largest value is named."""
+    detector = Detector([peak(10.0)])
+    detector.feed(0, Scalar(12.0), START)
+    assert detector.no_impact(0).endswith(
+        "at most 12 of the threshold 10; it stays above: declare a baseline, or a higher threshold"
+    )
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("contact", ""), ("topic", ""), ("threshold", np.inf), ("hysteresis", np.nan)],
+)
+def test_a_source_that_cannot_be_is_an_error_that_names_its_key(key: str, value: object) -> None:
+    """An empty name, and numbers that no signal reaches."""
+    given: dict[str, Any] = {"contact": "stop", "topic": "/s", key: value}
+    with pytest.raises(UsageError, match=f"^{key}: .*expected"):
+        Source(**given)
 
 
 def test_fields_are_named_by_paths() -> None:

@@ -67,6 +67,11 @@ def test_the_top_of_a_parabola_is_exact_for_uneven_samples(
         assert vertex(*points) == pytest.approx(top * scale, abs=0.6 + 1e-6 * scale)
 
 
+def test_points_without_a_parabola_have_their_vertex_in_the_middle() -> None:
+    """A signal that is flat, and two samples with one stamp."""
+    assert vertex((0, 1.0), (5, 1.0), (9, 1.0)) == vertex((5, 0.0), (5, 1.0), (9, 0.0)) == 0
+
+
 @examples(20)
 @given(
     st.lists(st.floats(0.03, 0.2), min_size=1, max_size=10),

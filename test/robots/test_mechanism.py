@@ -143,6 +143,20 @@ def test_noise_is_the_sum_of_the_kicks_along_a_flight(kind: str) -> None:
     assert np.allclose(root @ root.T, total, rtol=1e-2, atol=1e-5)
 
 
+def test_loads_hold_a_contact_where_it_is(kind: str) -> None:
+    """The accelerations with and without the contact differ by their ``M^-1 W lambda``."""
+    mechanism, held = changed(kind, np.zeros(3)), (0,)
+    x = states(mechanism, held)
+    found, ends = mechanism.loads_along([T], x, np.repeat(S, len(x)), held)
+    assert np.all(ends[-1] == S)
+    after, n = mechanism.flown([T], x, S, held).x, mechanism.system.n
+    stuck, free = (mechanism.rates([T + S[0]], after, each)[:, n:] for each in (held, ()))
+    for k, W in enumerate(mechanism.gaps(after).W):
+        arm, linear = mechanism.system, read_model("three_mass").system
+        M = arm.mass(after[k, :n]) if isinstance(arm, Robot) else linear.M
+        assert W[0] * found[-1, 0, k] == pytest.approx(M @ (stuck - free)[k], abs=1e-5)
+
+
 def test_a_thing_that_is_no_system_has_no_mechanism() -> None:
     """The error names its type."""
     with pytest.raises(UsageError, match="Thing"):

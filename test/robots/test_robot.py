@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from arms import DOUBLE, PENDULUM, joint, link, model_of, random_arm, urdf, wall
+from arms import DOUBLE, PENDULUM, SLIDER, joint, link, model_of, random_arm, urdf, wall
 
-from impact_observer.errors import ModelError, UsageError
+from impact_observer.errors import ImpactLawError, ModelError, UsageError
 from impact_observer.model import Model
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.robots.robot import Robot
@@ -256,6 +256,44 @@ def test_a_link_without_mass_is_an_error_that_names_its_joint() -> None:
     )
     with pytest.raises(ModelError, match="joint 'two' moves no mass; expected an inertial"):
         Robot(described(model_of(text, "one, two")))
+
+
+def test_two_joints_that_move_the_same_mass_alike_are_an_error() -> None:
+    """Two sliders along one axis, of which only the second one has mass."""
+    first, second = (
+        joint(name, parent, child, kind="prismatic")
+        for name, parent, child in (("one", "base", "a"), ("two", "a", "b"))
+    )
+    text = urdf('<link name="a"/>' + link("b", 2.0, "0 0 0"), first + second)
+    with pytest.raises(ModelError, match="the mass matrix is singular"):
+        Robot(described(model_of(text, "one, two")))
+
+
+def plane(name: str, side: int, restitution: object) -> str:
+    """A plane at z = 0 that holds the slider above (1) or below (-1) it."""
+    return wall(name=name, normal=f"[0, 0, {side}]", restitution=restitution)[1:-1]
+
+
+def slider(*planes: str) -> Robot:
+    """A mass of 2 kg on a rail between planes."""
+    return Robot(described(model_of(SLIDER, "rail", contacts=f"[{', '.join(planes)}]")))
+
+
+def test_of_two_pads_the_more_elastic_one_decides_by_its_law() -> None:
+    """At 16 m/s a rebound of 0.8 v^-0.25 is one of 0.4, and that of the other pad 0.3."""
+    by_speed = plane("steel", 1, "{value: 0.8, speed: 1, exponent: -0.25}")
+    robot = slider(by_speed, plane("wood", 1, 0.3))
+    q, u = np.zeros(1), np.full(1, -16.0)
+    for active, speed in (((0, 1), 6.4), ((0,), 6.4), ((1,), 4.8)):
+        assert robot.velocity_after(q, u, active) == pytest.approx(speed)
+    assert not robot.is_nonexpansive(q, (0, 1))
+
+
+def test_planes_that_face_each_other_without_play_are_an_error_by_name() -> None:
+    """The rebound from the floor would go into the ceiling."""
+    jammed = slider(plane("floor", 1, 0.8), plane("ceiling", -1, 0.5))
+    with pytest.raises(ImpactLawError, match=r"'floor', 'ceiling'.*no solution"):
+        jammed.velocity_after(np.zeros(1), np.full(1, -1.0), (0, 1))
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@
 from pathlib import Path
 
 import pytest
-from arms import DOUBLE, PENDULUM, joint, link, model_of, urdf, wall
+from arms import DOUBLE, PENDULUM, SLIDER, joint, link, model_of, urdf, wall
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
@@ -48,6 +48,28 @@ def test_limits_of_joints_that_the_model_does_not_use_are_named() -> None:
         "note The URDF has limits of hip, which the model does not use: give a contact where the"
         " robot hits one." in found
     )
+
+
+def test_a_start_beyond_a_limit_and_an_endless_joint_are_named() -> None:
+    """With the value, and the limits that do not act; a slider has neither."""
+    start = "{position: [2.5, 7], velocity: [0, 0]}"
+    found = findings(model_of(CHAIN, "hip, ankle", initial_state=start))
+    passed = "The start of hip is 2.5, outside its limits -1 to 2 rad, which are no contacts."
+    endless = "Angles count on beyond a turn; encoders of ankle need not."
+    assert [each for each in found if "start" in each] == [f"warning {passed}"]
+    assert f"note {endless}" in found
+    assert not [each for each in findings(model_of(SLIDER, "rail")) if "Angles" in each]
+
+
+def test_planes_that_rebound_differently_are_a_warning() -> None:
+    """Of two pads on one mass, G - E G E has the determinant -(a - b)^2: V could rise."""
+    for second, count in ((0.9, 1), (0.2, 0)):
+        pads = ", ".join(
+            wall(name=name, normal="[0, 0, 1]", restitution=each)[1:-1]
+            for name, each in (("soft", 0.2), ("hard", second))
+        )
+        found = findings(model_of(SLIDER, "rail", contacts=f"[{pads}]"))
+        assert sum(each.startswith("warning") and "raise V" in each for each in found) == count
 
 
 def test_joints_that_the_model_leaves_out_are_named_with_what_is_expected() -> None:
