@@ -58,7 +58,7 @@ def give(live: LiveSignals | None, sample: Sample) -> str:
 
 
 @cache
-def simulated(pauses: int = 7) -> tuple[list[ImpactEvent], NDArray[np.int64], Array]:
+def simulated(pauses: int = 25) -> tuple[list[ImpactEvent], NDArray[np.int64], Array]:
     """Events and states of a plant that gets so many samples at a time."""
     given = samples()
     system, live = connected(parse_model(RIG, "rig").system, causal=True)

@@ -63,16 +63,16 @@ CASES = {
         ["/impacts", "/plant/joint_states"],
         speed=10.0,
         lag=1.0,
-        least=1000,
-        options={"initial_state": "random:1"},
+        least=500,
+        options={"initial_state": "random:1", "rate": "50.0"},
     ),
     "pulses of a drive": Case(
         lambda _: shared("bags/hammer"),
         ["/impacts", "/phase_reference"],
         speed=8.0,
         lag=2.0,  # longer than a period
-        least=1000,
-        options={"initial_state": "random:1"},
+        least=500,
+        options={"initial_state": "random:1", "rate": "50.0"},
     ),
     "a live force, a twentieth of it late": Case(
         lambda folder: live_rig.bag(folder / "rig"),
