@@ -49,12 +49,11 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
 def groups_of(table: pd.DataFrame, swept: Sequence[str]) -> list[Group]:
     """The cases in groups of equal law and ``swept`` columns, in the order of the sweep."""
     groups = []
-    for (law, *values), own in table.groupby(["law", *swept], sort=False):
+    for _, own in table.groupby(["law", *swept], sort=False):
         good = own[own["error"] == ""]
         times = good["settling_time"].fillna(math.inf).tolist()
         group = {
-            "law": law,
-            **dict(zip(swept, values, strict=True)),
+            **own[["law", *swept]].to_dict("records")[0],
             "runs": len(own),
             "failed": len(own) - len(good),
             "not_settled": times.count(math.inf) / len(times) if times else None,

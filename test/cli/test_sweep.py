@@ -169,6 +169,20 @@ def batched(values: list[object]) -> list[tuple[float, float]]:
     return list(zip(map(float, values[::2]), map(float, values[1::2]), strict=True))  # type: ignore[arg-type]
 
 
+def test_a_fault_that_a_sensor_has_or_has_not_is_yes_or_no(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the rows of the summary, and true or false in JSON."""
+    words = ["sweep", "two_mass", "--runs", "1", "--duration", "1", "--rate", "5", "--jobs", "1"]
+    words += ["--impacts-only", "no,yes", "-o"]
+    assert main([*words, str(tmp_path / "a.parquet")]) == 0
+    rows = [row.split()[:2] for row in capsys.readouterr().out.splitlines()]
+    assert [row[1] for row in rows if row[:1] == ["geometric"]] == ["no", "yes"]
+    assert main([*words, str(tmp_path / "b.parquet"), "--json"]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    assert [each["sensor_impacts_only"] for each in groups] == [False, True]
+
+
 @pytest.mark.slow
 def test_runs_that_never_settle_are_not_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -106,6 +106,7 @@ INPUTS = [
     (f"export sample -o x.csv --impacts --topics {TRUTH}", "has no estimates of impacts"),
     ("export times -o x.csv", "has no states; topics: /impacts"),
     ("export times -o x.csv --impacts", "run observe or smooth"),
+    (f"{SWEEP} --duration 0.1 --rate 1", "one sample found in 0.1 s at 1 Hz; expected two"),
     ("sweep two_mass -o sweep.csv", "sweep.csv: expected a name that ends in .parquet"),
     (f"{SWEEP} --laws magic", "law 'magic': not installed"),
     (f"{SWEEP} --off gap=0.4 --off gap=0.5", "off: gap found twice"),
