@@ -177,7 +177,10 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     ("number", "code", "how"),
-    [(signal.SIGINT, 1, "interrupted"), (signal.SIGTERM, 143, "ended by SIGTERM")],
+    [
+        (signal.SIGINT, 1, "interrupted"),
+        pytest.param(signal.SIGTERM, 143, "ended by SIGTERM", marks=pytest.mark.long),
+    ],
 )
 def test_an_observer_that_is_interrupted_leaves_no_bag(
     plant: Path, tmp_path: Path, number: int, code: int, how: str

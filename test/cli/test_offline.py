@@ -353,7 +353,7 @@ def test_a_misfit_stands_in_the_bag_as_in_the_diagnostics_of_a_node(
     text = shared("config/two_mass.yaml").read_text(encoding="utf-8")
     (tmp_path / "wrong.yaml").write_text(text.replace("[0, 4]", "[0, 5]"))
     bag, out, exact = (str(tmp_path / name) for name in ("bag", "out", "exact"))
-    assert main(["simulate", "two_mass", "--duration", "50", "--rate", "2", "-o", bag]) == 0
+    assert main(["simulate", "two_mass", "--duration", "35", "--rate", "2", "-o", bag]) == 0
     law = ("--law", "minimum-variance", "--ensemble", "1")
     assert main(["observe", bag, *law, "-o", exact]) == 0
     capsys.readouterr()

@@ -61,7 +61,7 @@ def test_velocities_are_known_through_a_hit_with_a_model_that_is_wrong() -> None
     assert not last.misfit
 
 
-def exactly_modelled(deviation: Vector | None, seconds: float = 2.5) -> tuple[Model, Recording]:
+def exactly_modelled(deviation: Vector | None, seconds: float = 2.0) -> tuple[Model, Recording]:
     """hammer_arm as it is, with white torques of a declared ``deviation``, at 200 Hz."""
     model = read_model("hammer_arm")
     assert model.robot is not None

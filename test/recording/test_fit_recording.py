@@ -23,7 +23,7 @@ from impact_observer.recording.impacts_in_recording import Task, read_recording
 from impact_observer.stamps import grid
 
 EPOCH = 10**9
-SECONDS = 25.0
+SECONDS = 22.0
 FILES = {"fitted.yaml", "impacts.csv", "motion.png", "smoothed"}
 UNKNOWN = "{value: 0.6, deviation: 0.1}"
 

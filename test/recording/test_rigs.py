@@ -81,8 +81,8 @@ def test_a_fitted_model_is_fitted_again(
     first, same, other = (tmp_path / name for name in ("first", "same", "other"))
     for folder in (first, same, other):
         folder.mkdir()
-    assert fitted("shaker", rig, times[:40], first) == (0, 1.0)
-    for folder, later in ((same, times[:40]), (other, times[40:80])):
+    assert fitted("shaker", rig, times[:25], first) == (0, 1.0)
+    for folder, later in ((same, times[:25]), (other, times[25:50])):
         capsys.readouterr()
         assert fitted("shaker", first / "out" / "fitted.yaml", later, folder) == (0, 1.0)
         told = capsys.readouterr().out
