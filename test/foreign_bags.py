@@ -148,10 +148,7 @@ def mcap_folder(
 
 
 def rewritten(
-    source: Path,
-    path: Path,
-    plugin: StoragePlugin,
-    mode: CompressionMode = CompressionMode.NONE,
+    source: Path, path: Path, plugin: StoragePlugin, mode: CompressionMode = CompressionMode.NONE
 ) -> Path:
     """The folder that ``rosbags`` makes, compressed as a whole, by message, or not at all."""
     writer = Writer(path, version=9, storage_plugin=plugin)

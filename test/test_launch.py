@@ -314,11 +314,7 @@ def test_initial_state_arrives_as_a_string(launcher: Launcher, state: str) -> No
 
 @pytest.mark.parametrize(
     ("name", "text", "value"),
-    [
-        ("rate", "50", 50.0),
-        ("epoch", str(EPOCH), EPOCH),
-        ("use_sim_time", "true", True),
-    ],
+    [("rate", "50", 50.0), ("epoch", str(EPOCH), EPOCH), ("use_sim_time", "true", True)],
 )
 def test_argument_arrives_with_the_type_of_its_parameter(
     launcher: Launcher, name: str, text: str, value: object

@@ -99,10 +99,7 @@ def test_what_is_there_is_not_replaced(
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "arguments"), [each for each in WRITING if each[0] in QUICK])
 def test_a_full_disk_destroys_nothing_and_leaves_nothing(
-    command: str,
-    arguments: list[str],
-    inputs: dict[str, str],
-    capsys: pytest.CaptureFixture[str],
+    command: str, arguments: list[str], inputs: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exit code 1, in one line, and no part of the file is left."""
     given = [each.format(**inputs) for each in arguments]

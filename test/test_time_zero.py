@@ -71,10 +71,7 @@ def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize(
     ("command", "topic"),
-    [
-        ("observe bag --law minimum-variance", "/observer/state"),
-        ("smooth bag", "/smoother/state"),
-    ],
+    [("observe bag --law minimum-variance", "/observer/state"), ("smooth bag", "/smoother/state")],
 )
 def test_estimates_begin_with_the_first_sample(
     ball: Path, capsys: pytest.CaptureFixture[str], command: str, topic: str

@@ -15,11 +15,7 @@ from impact_observer.batch.smoothing import smoothed_runs
 from impact_observer.dynamics.tangent import Tangent
 from impact_observer.events import ImpactEvent
 from impact_observer.model import Model
-from impact_observer.model.contact_sensors import (
-    NO_SENSORS,
-    ContactErrors,
-    ContactSensor,
-)
+from impact_observer.model.contact_sensors import NO_SENSORS, ContactErrors, ContactSensor
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options
 from impact_observer.plant import Plant, simulate

@@ -73,12 +73,7 @@ def test_json_has_all_results(sample_bag: Path, capsys: pytest.CaptureFixture[st
         "impacts": {"stop": 11},
         "closings": {},
         "episodes": 1,
-        "model": {
-            "name": "two_mass",
-            "version": "1.2.3",
-            "seed": 7,
-            "sensor": None,
-        },
+        "model": {"name": "two_mass", "version": "1.2.3", "seed": 7, "sensor": None},
         "observers": {"/observer_geometric": "geometric"},
     }
     assert size == sum(file.stat().st_size for file in sample_bag.iterdir())

@@ -56,13 +56,7 @@ def test_metrics_are_those_of_a_simulated_bag(
 ) -> None:
     """The commands simulate and compare --laws give the same numbers, to the last bit."""
     bag = str(tmp_path / "bag")
-    laws = (
-        "--laws",
-        "open-loop,geometric",
-        "--initial-state",
-        "random:2",
-        "--json",
-    )
+    laws = ("--laws", "open-loop,geometric", "--initial-state", "random:2", "--json")
     assert main(["simulate", "two_mass", "--duration", "3", "-o", bag]) == 0
     capsys.readouterr()
     assert main(["compare", *QUICK, *laws]) == 0

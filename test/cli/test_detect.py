@@ -248,11 +248,7 @@ def test_impacts_of_the_bag_make_way_for_those_that_are_found(
         (["--contact", "stop", "--topic", "/none"], 2, "stop"),
         (["--contact", "stop", "--topic", "/force"], 2, "kind: is missing, as /force is std_msgs"),
         (["--contact", "stop", "--topic", "/imu"], 2, "threshold"),
-        (
-            ["--contact", "roof", "--topic", "/switch", "--model", "two_mass"],
-            2,
-            "contact",
-        ),
+        (["--contact", "roof", "--topic", "/switch", "--model", "two_mass"], 2, "contact"),
         (
             ["--contact", "stop", "--topic", "/force", "--threshold", "500"],
             1,
@@ -319,13 +315,7 @@ def test_pulses_of_another_topic_say_the_epoch_and_drive_the_observer(tmp_path: 
     assert pulses == [1250 * MS, 2500 * MS]
 
 
-@pytest.mark.parametrize(
-    ("topic", "said"),
-    [
-        ("/index", "pulses"),
-        ("/switch", "pulses"),
-    ],
-)
+@pytest.mark.parametrize(("topic", "said"), [("/index", "pulses"), ("/switch", "pulses")])
 def test_pulses_that_are_none_are_refused(
     topic: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

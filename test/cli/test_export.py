@@ -77,10 +77,7 @@ def test_states_are_those_of_the_bag_bit_by_bit(
     head = ["topic", "stamp_ns", "time_s", "q_x1", "q_x2", "u_x1", "u_x2"]
     assert list(table) == head
     with BagReader(observed) as reader:
-        states = {
-            TRUTH: reader.joint_states(TRUTH),
-            ESTIMATE: reader.observer_states(ESTIMATE),
-        }
+        states = {TRUTH: reader.joint_states(TRUTH), ESTIMATE: reader.observer_states(ESTIMATE)}
     assert len(table["topic"]) == sum(each.stamps.size for each in states.values()) == 2002
     for topic, each in states.items():
         stamps = [int(str(stamp)) for stamp in of_topic(table, topic, "stamp_ns")]

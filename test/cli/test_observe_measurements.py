@@ -246,10 +246,7 @@ def test_what_cannot_be_simulated_is_one_line(
 
 
 def test_compare_shows_how_many_samples_were_used(
-    bag: Path,
-    observed: tuple[Path, str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    bag: Path, observed: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Counts are those of the observer; tables of bags without sensors have no such columns."""
     output, plain = str(observed[0]), str(tmp_path / "plain")

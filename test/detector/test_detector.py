@@ -289,21 +289,11 @@ MISTAKES: list[tuple[str, str, str]] = [
             ("direction: up", "direction"),
             ("kind: arrival, field: x", "field: does not go with kind arrival"),
             ("kind: peak, threshold: 0", "threshold"),
-            (
-                "kind: peak, threshold: 1, hysteresis: 1",
-                "hysteresis",
-            ),
-            (
-                "min_contact_duration: 0.001",
-                "min_contact_duration",
-            ),
+            ("kind: peak, threshold: 1, hysteresis: 1", "hysteresis"),
+            ("min_contact_duration: 0.001", "min_contact_duration"),
         )
     ),
-    (
-        "sources: [{contact: c, topic: t}, {contact: c, topic: s}]",
-        BOOL,
-        "sources[1].contact",
-    ),
+    ("sources: [{contact: c, topic: t}, {contact: c, topic: s}]", BOOL, "sources[1].contact"),
 ]
 
 

@@ -108,11 +108,7 @@ ABOUT_10 = [0, 9.9, 10.1, 9.9, 10.2, 9.8, 10.1, 6.0, 4.9, 0, 12, 0.0]
 PLATEAU = half_sines(every(MS, 200), 0.1003, 0.03).clip(0, 60)
 SIGNALS: dict[str, tuple[Source, ArrayLike, list[float]]] = {
     "saturated, to half a sample": (peak(50.0, dead_time=0.04), PLATEAU, [100.3]),
-    "noise about the threshold": (
-        peak(10.0, hysteresis=5.0, dead_time=0.0),
-        ABOUT_10,
-        [4, 10],
-    ),
+    "noise about the threshold": (peak(10.0, hysteresis=5.0, dead_time=0.0), ABOUT_10, [4, 10]),
     "high from the first sample on": (
         peak(10.0, dead_time=0.001),
         [20.0, 30.0, 20.0, 0.0, 20.0, 0.0],

@@ -102,10 +102,7 @@ def test_words_are_counted_and_listed() -> None:
     assert listed("abcdef", most=3) == "a, b and 4 more"
 
 
-@given(
-    value=st.floats(-1e9, 1e9),
-    deviation=st.floats(1e-12, 1e9),
-)
+@given(value=st.floats(-1e9, 1e9), deviation=st.floats(1e-12, 1e9))
 @examples(200)
 def test_values_are_shown_to_the_second_digit_of_their_deviation(
     value: float, deviation: float

@@ -6,15 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from systems import (
-    Harmonic,
-    chain,
-    examples,
-    flow_of,
-    forcing,
-    system,
-    systems,
-)
+from systems import Harmonic, chain, examples, flow_of, forcing, system, systems
 
 from impact_observer.dynamics import Motion
 from impact_observer.model import System

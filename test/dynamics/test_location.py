@@ -12,16 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
-from systems import (
-    Harmonic,
-    examples,
-    forcing,
-    numbers,
-    sample,
-    system,
-    systems,
-    vectors,
-)
+from systems import Harmonic, examples, forcing, numbers, sample, system, systems, vectors
 
 from impact_observer.dynamics import Phase, PhaseMotion, Phases, RootSearch, Watch, watch
 from impact_observer.model import Forcing, System

@@ -278,10 +278,7 @@ def test_publishers_of_different_quality_have_their_common_quality(tmp_path: Pat
     offers = [interfaces.EVENTS.offered(), Quality(reliable=False, depth=7).offered()]
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         writer.add_connection(
-            "/impacts",
-            interfaces.IMPACT_EVENT,
-            typestore=typestore(),
-            offered_qos_profiles=offers,
+            "/impacts", interfaces.IMPACT_EVENT, typestore=typestore(), offered_qos_profiles=offers
         )
     with BagReader(tmp_path / "bag") as reader:
         assert reader.topics["/impacts"].quality == Quality(False, False, 2000)

@@ -54,13 +54,7 @@ def test_impact_by_a_power_law_does_not_raise_the_difference_of_two_speeds(
     assert after <= abs(v - w) * (1 + 1e-12) + 1e-14
 
 
-@pytest.mark.parametrize(
-    "law",
-    [
-        ConstantRestitution(0.7),
-        PowerLaw(0.7, 1.0, -0.25, 0.9),
-    ],
-)
+@pytest.mark.parametrize("law", [ConstantRestitution(0.7), PowerLaw(0.7, 1.0, -0.25, 0.9)])
 @pytest.mark.parametrize("gamma", [-8.0, -1.7, -0.3, -0.05, 0.3])
 def test_slope_and_sensitivity_of_a_rebound_are_those_of_finite_differences(
     law: ReboundLaw, gamma: float

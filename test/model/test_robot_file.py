@@ -60,10 +60,7 @@ def test_the_text_of_a_model_carries_its_urdf() -> None:
     ],
 )
 def test_commands_that_need_a_linear_model_say_so(
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One line with the robot, its URDF and the command, and exit code 2."""
     monkeypatch.chdir(tmp_path)

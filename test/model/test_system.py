@@ -66,15 +66,9 @@ def test_harmonics_without_amplitude_do_not_depend_on_time() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            {"M": np.eye(3)},
-            "mass",
-        ),
+        ({"M": np.eye(3)}, "mass"),
         ({"M": 1.0}, "mass: has shape a single number"),
-        (
-            {"K": [["a", "b"], ["c", "d"]]},
-            "stiffness",
-        ),
+        ({"K": [["a", "b"], ["c", "d"]]}, "stiffness"),
         ({"K": [[1.0], [2.0, 3.0]]}, "stiffness"),
         ({"C": np.full((2, 2), np.inf)}, r"damping\[0\]\[0\]: is not finite"),
         ({"M": np.array([[1, 0.5], [0, 1]])}, r"mass: is not symmetric: \[0\]\[1\] is 0.5 but"),

@@ -4,13 +4,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import (
-    EPOCH,
-    observer,
-    run,
-    sample,
-    without_faults,
-)
+from systems import EPOCH, observer, run, sample, without_faults
 
 from impact_observer.errors import UsageError
 from impact_observer.observer import Observer

@@ -34,10 +34,7 @@ def test_random_state_is_the_documented_draw() -> None:
     ("text", "message"),
     [
         ("", "initial state ''"),
-        (
-            "one",
-            "initial state 'one'",
-        ),
+        ("one", "initial state 'one'"),
         ("1,2,3", "initial state '1,2,3'"),
         ("1,2,3,4,5", "5 numbers, expected 4"),
         ("1,2,3,", "expected zero, random:SEED or 4 numbers"),

@@ -22,11 +22,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import Kind
 from impact_observer.model import Model, System, read_model
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer import (
-    Observer,
-    make_observer,
-    synchronization,
-)
+from impact_observer.observer import Observer, make_observer, synchronization
 from impact_observer.observer.laws.measured_position import MeasuredPosition
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
@@ -151,11 +147,7 @@ def test_samples_that_are_no_position_of_one_joint_are_left_out_with_the_reason(
         Measurement("height", "/height", field="data", gap="wall", deviation=0.1),
         Measurement("gyro", "/joint_states", "elbow", "velocity", deviation=0.1),
         Measurement(
-            "sum",
-            "/sum",
-            field="data",
-            position={"shoulder": 1.0, "elbow": 1.0},
-            deviation=0.1,
+            "sum", "/sum", field="data", position={"shoulder": 1.0, "elbow": 1.0}, deviation=0.1
         ),
     ]
     observer = observer_of(robot, np.array([0.3, 0.8]), WRONG, others)

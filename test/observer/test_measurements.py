@@ -11,15 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import linalg
-from systems import (
-    EPOCH,
-    Harmonic,
-    forcing,
-    run,
-    sample,
-    system,
-    without_faults,
-)
+from systems import EPOCH, Harmonic, forcing, run, sample, system, without_faults
 
 from impact_observer.events import ImpactEvent, MeasurementVerdict
 from impact_observer.model import System

@@ -9,14 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import EPOCH, chain, event, examples, observer
 
-from impact_observer.events import (
-    ImpactEvent,
-    Kind,
-    Remark,
-    Ruling,
-    Switch,
-    Verdict,
-)
+from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
 from impact_observer.observer import Observer, replay
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate

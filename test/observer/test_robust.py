@@ -32,14 +32,7 @@ from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.synchronization import AGREED
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.options import Options
-from impact_observer.plant import (
-    Plant,
-    Run,
-    SensorMessage,
-    SensorModel,
-    simulate,
-    simulate_sensor,
-)
+from impact_observer.plant import Plant, Run, SensorMessage, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]

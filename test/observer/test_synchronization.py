@@ -6,29 +6,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from systems import (
-    EPOCH,
-    Array,
-    chain,
-    event,
-    examples,
-    run,
-    sample,
-    system,
-    systems,
-    vectors,
-)
+from systems import EPOCH, Array, chain, event, examples, run, sample, system, systems, vectors
 from systems import observer as observer_of
 
 from impact_observer.dynamics import lyapunov, mechanism_of
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.events import Ruling
 from impact_observer.model import System
-from impact_observer.observer import (
-    Observer,
-    ReplicaLaw,
-    law_named,
-)
+from impact_observer.observer import Observer, ReplicaLaw, law_named
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.contact_change import ContactChange
 from impact_observer.observer.laws import BUILT_IN

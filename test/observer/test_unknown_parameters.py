@@ -85,16 +85,11 @@ def test_wrong_stiffness_is_estimated_and_v_falls_below_its_floor(name: str) -> 
 
 
 @pytest.mark.parametrize("wrong", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
-def test_restitution_is_estimated_whether_it_is_wrong_or_right(
-    wrong: float,
-) -> None:
+def test_restitution_is_estimated_whether_it_is_wrong_or_right(wrong: float) -> None:
     """V falls to the rounding of stamps, as with a known restitution."""
     model, true = sample("two_mass").system, truth("two_mass", 30.0)
     start = np.array([0.4, -0.3, 0.5, -0.6])
-    watcher = fed(
-        watching(bouncier(model, wrong), start, ["restitution"]),
-        true.events,
-    )
+    watcher = fed(watching(bouncier(model, wrong), start, ["restitution"]), true.events)
     V = distances(watcher, model, true)
     assert np.median(V[-10:]) < 1e-15 * V[0]
     ((_, value, deviation),) = watcher.estimate(int(true.stamps[-1])).parameters

@@ -111,10 +111,7 @@ def test_impacts_agree_with_a_runge_kutta_method() -> None:
 
     def table(t: float) -> tuple[float, float]:
         a, b = 3 * t + 0.4, 7.1 * t
-        return (
-            0.1 * np.cos(a) + 0.05 * np.cos(b),
-            -0.3 * np.sin(a) - 0.355 * np.sin(b),
-        )
+        return (0.1 * np.cos(a) + 0.05 * np.cos(b), -0.3 * np.sin(a) - 0.355 * np.sin(b))
 
     def slope(t: float, y: Array) -> list[float]:
         (s, v), spring = table(t), 20 * (y[1] - y[0]) + 0.2 * (y[3] - y[2])

@@ -182,11 +182,7 @@ def test_commands_that_fit_refuse_a_square_force(
     words = ["observe", bag, "--law", "geometric", "-o", str(tmp_path / "estimate")]
     assert main(words) == 0
     capsys.readouterr()
-    for name, *others in (
-        ("smooth",),
-        ("identify", "--free", "restitution"),
-        ("fit", str(model)),
-    ):
+    for name, *others in (("smooth",), ("identify", "--free", "restitution"), ("fit", str(model))):
         output = ["-o", str(tmp_path / f"{name}.yaml")]
         assert main([name, bag, *others, *output]) == 2
         (line,) = capsys.readouterr().err.splitlines()

@@ -113,18 +113,10 @@ def speeds(run: Run) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
 
 
 @pytest.mark.parametrize(
-    "recorded",
-    [
-        typed_times,
-        bag,
-        pytest.param(oscilloscope, marks=pytest.mark.slow),
-    ],
+    "recorded", [typed_times, bag, pytest.param(oscilloscope, marks=pytest.mark.slow)]
 )
 def test_one_command_gives_numbers_table_and_picture(
-    recorded: Callable[[Run, Path], Path],
-    run: Run,
-    rig: Path,
-    capsys: pytest.CaptureFixture[str],
+    recorded: Callable[[Run, Path], Path], run: Run, rig: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The restitution, the speed before each impact, and all files; few lines."""
     recording = recorded(run, rig)

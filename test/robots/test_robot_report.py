@@ -90,10 +90,7 @@ def test_a_start_inside_a_plane_names_file_key_contact_gap_and_remedy(
 ) -> None:
     """A tip 0.48 m behind the plane."""
     model = model_of(
-        PENDULUM,
-        "hinge",
-        contacts=wall(),
-        initial_state="{position: [-0.5], velocity: [0]}",
+        PENDULUM, "hinge", contacts=wall(), initial_state="{position: [-0.5], velocity: [0]}"
     )
     file = tmp_path / "arm.yaml"
     file.write_text(model.text())

@@ -377,10 +377,7 @@ def test_an_error_does_not_end_a_node(ros_environment: dict[str, str], sources: 
     sources.write_text(text, encoding="utf-8")
     statuses: list[DiagnosticStatus] = []
     arguments = ros_arguments({"sources": sources})
-    with (
-        running_node("detector", arguments, ros_environment) as process,
-        spinning() as spinner,
-    ):
+    with running_node("detector", arguments, ros_environment) as process, spinning() as spinner:
         spinner.probe.create_subscription(
             DiagnosticArray, "/diagnostics", lambda array: statuses.extend(array.status), 100
         )

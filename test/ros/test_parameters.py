@@ -52,11 +52,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
         ("observer", {"model": "two_mass", "history": 1e300}, "parameter history"),
         ("observer", {"model": "two_mass", "initial_state": "one"}, "initial state 'one'"),
         ("plant", {"model": "two_mass", "realtime_factor": 2.0}, "needs publish_clock"),
-        (
-            "plant",
-            {"model": "two_mass", "duration": 1e300},
-            "parameter duration",
-        ),
+        ("plant", {"model": "two_mass", "duration": 1e300}, "parameter duration"),
         ("plant", {"model": "two_mass", "sensor.mislabelled": 0.1}, "sensor mislabelled"),
         ("observer", {"model": "two_mass", "use_sim_time": "banana"}, "use_sim_time"),
         ("observer", {"model": "two_mass", "lag": 3.0, "history": 2.0}, "parameter lag"),
@@ -67,10 +63,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_environment")]
     ],
 )
 def test_a_wrong_parameter_is_one_line_and_exit_code_2(
-    capfd: pytest.CaptureFixture[str],
-    module: str,
-    parameters: dict[str, object],
-    expected: str,
+    capfd: pytest.CaptureFixture[str], module: str, parameters: dict[str, object], expected: str
 ) -> None:
     """The line names the parameter, the value and the values that are expected."""
     arguments = ros_arguments(parameters)

@@ -10,16 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from quadrature import NODES, integral
 from scipy import optimize
-from systems import (
-    Harmonic,
-    examples,
-    forcing,
-    numbers,
-    system,
-    systems,
-    vectors,
-    whole_numbers,
-)
+from systems import Harmonic, examples, forcing, numbers, system, systems, vectors, whole_numbers
 
 from impact_observer.dynamics import Clutches, ImpactLaw, Motion, PositionProjection
 from impact_observer.dynamics.contact import clutch
