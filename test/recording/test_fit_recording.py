@@ -69,7 +69,7 @@ def oscilloscope(run: Run, folder: Path) -> Path:
 
 def sound(run: Run, folder: Path) -> Path:
     """A WAV of clicks that fade within some milliseconds."""
-    rate = 8000
+    rate = 4000
     t = np.arange(int(SECONDS * rate)) / rate
     x = 0.002 * np.random.default_rng(2).normal(size=t.size)
     for hit, speed in zip(instants(run), speeds(run), strict=True):
