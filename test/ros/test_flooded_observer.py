@@ -20,7 +20,7 @@ from impact_observer.ros.topics import qos_profile, ros_messages
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
-COUNT, SECONDS = 5_000, 1.0
+COUNT, SECONDS = 10_000, 2.0
 MOST_SILENCE = 0.5
 """Longest time without an estimate, s."""
 
@@ -60,7 +60,7 @@ def test_estimates_go_on_while_a_flood_of_events_is_worked_on(
                 spinner.executor.spin_once(timeout_sec=0.0)
             while time.monotonic() < begin + k * SECONDS / COUNT:
                 spinner.executor.spin_once(timeout_sec=0.0)
-        spinner.until(lambda: time.monotonic() > begin + SECONDS + 2.5)
+        spinner.until(lambda: time.monotonic() > begin + SECONDS + 5.0)
         assert process.poll() is None
         spinner.until(lambda: told.get("waiting") == "0")
     silences = [b - a for a, b in pairwise([each for each in received if each > begin - 0.1])]
