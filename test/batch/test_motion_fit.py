@@ -156,6 +156,19 @@ def test_a_jump_has_the_derivatives_of_differences() -> None:
         np.testing.assert_allclose(own.jump_by_theta[1:, :, j], slope[1:], atol=2e-6)
 
 
+@pytest.mark.parametrize("is_scattered", [False, True])
+def test_own_instants_stay_near_their_stamps_wherever_a_search_is(*, is_scattered: bool) -> None:
+    """States are off by some times the motion: the gaps have roots far away, or none."""
+    model, events, _ = recorded("two_mass", 20.0, 1e-3, 0)
+    moments = RecordedRun.of(model.system, events).reported()
+    tangent = Tangent(parametric_family(model.system, FREE, model.elements))
+    x = np.random.default_rng(7).normal(scale=5.0, size=(moments.count + 1, 4))
+    for some in (x, 1e-4 * x):
+        own = linearised(tangent, moments, some, EXACT, is_scattered=is_scattered)
+        assert np.all(np.isfinite(own.after))
+        assert np.all(np.abs(own.own_late) <= moments.flights)
+
+
 def test_each_contact_has_a_clock_of_its_own() -> None:
     """Of one stamps jitter by 0.01 ms and are 2 ms late, of the other by 0.3 and 0.5 ms."""
     model, events, _ = recorded("three_mass", 60.0, 0.0, 1)

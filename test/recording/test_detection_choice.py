@@ -102,6 +102,15 @@ def test_weaker_knocks_of_another_part_are_refused_and_kept_for_a_picture() -> N
     assert all(np.min(np.abs(shown - knock)) < 1e-3 for knock in knocks)
 
 
+def test_soft_hits_are_impacts_where_the_model_has_them_too() -> None:
+    """Half of the hits are so soft that they may be of a chatter."""
+    stamps, values = ringing(HITS, np.where(np.arange(HITS.size) % 2, 0.2, 3.0))
+    expected = ExpectedImpacts(0.01, 0.6 * HITS.size / 2, soft=0.5 * HITS.size / 2)
+    chosen = choose_detection(SENSOR, stamps, values, expected)
+    assert detected(chosen.source, stamps, values).size == HITS.size
+    assert not chosen.doubts
+
+
 def test_another_number_of_impacts_than_the_model_has_is_a_doubt() -> None:
     """Of a tenth of the expected impacts a line says so."""
     stamps, values = ringing(HITS[:4], HEIGHTS[:4])
@@ -164,6 +173,22 @@ def test_a_model_tells_how_often_its_impacts_come() -> None:
     assert 0 < found.interval < 1 / found.rate
     resting = simulated_impacts(parse_model(BALL, "ball.yaml"), 10.0)
     assert expected_impacts(resting, ["floor"]) is None
+
+
+def test_soft_impacts_of_a_driven_model_are_counted_apart() -> None:
+    """A press falls each second and bounces: at half of the speed, a quarter, and so on."""
+    text = """name: press
+bodies: [{name: ram, mass: 1}]
+springs: [{between: [ground, ram], stiffness: 100, damping: 1}]
+forces: [{body: ram, constant: -30}, {body: ram, amplitude: 60, frequency: 6.283185307}]
+stops: [{name: anvil, body: ram, limit: 0, side: below, restitution: 0.3}]
+"""
+    simulated = simulated_impacts(parse_model(text, "press.yaml"), 30.0)
+    assert simulated is not None
+    found = expected_impacts(simulated, ["anvil"])
+    assert found is not None
+    assert 0 < found.soft <= len(simulated.every) / 30 - found.rate + 0.5
+    assert found.rate == pytest.approx(len(simulated.impacts) / 30, rel=0.5)
 
 
 def test_the_soft_end_of_a_chatter_is_not_expected() -> None:
