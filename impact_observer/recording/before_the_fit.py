@@ -21,6 +21,9 @@ _RATIO = 5.0
 _PERIODS = 90.0
 """Usual time between two impacts, in slowest periods of the model, beyond which no fit begins."""
 
+_CLOSED = 0.5
+"""Share of a recording in which a contact is closed that is worth a line."""
+
 
 def model_warnings(checked: ModelCheck) -> Iterator[str]:
     """Return the warnings of ``check-model``, a line each."""
@@ -50,6 +53,27 @@ def check_times(checked: ModelCheck, events: Sequence[ImpactEvent], recording: P
             f" {_PERIODS:g} periods of the slowest motion of {system.name}; if the times are in"
             f" {unit}, write table: {{time_unit: {unit}}} into a file for --sources"
         )
+
+
+def long_contacts(events: Sequence[ImpactEvent]) -> Iterator[str]:
+    """Return a line on each contact that is closed most of the time."""
+    stamps = [each.stamp for each in events]
+    begin, end = min(stamps), max(stamps)
+    closed, since = Counter[str](), dict[str, int]()
+    for each in sorted(events, key=lambda each: each.stamp):
+        for switch in each.switches:
+            if switch.kind == Kind.CLOSE:
+                since.setdefault(switch.contact, each.stamp)
+            elif switch.contact in since:
+                closed[switch.contact] += each.stamp - since.pop(switch.contact)
+    for name, stamp in since.items():
+        closed[name] += end - stamp
+    for name, ns in closed.items():
+        if ns > _CLOSED * (end - begin):
+            yield (
+                f"{name}: closed for {100 * ns / (end - begin):.0f} % of the recording; of a"
+                " switch that opens at a hit write `inverted: true` into a file for --sources"
+            )
 
 
 def doubtful_contacts(model: Model, events: Sequence[ImpactEvent]) -> Iterator[str]:

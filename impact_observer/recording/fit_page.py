@@ -27,7 +27,12 @@ from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.model.system import refuse_squares, unit_of
 from impact_observer.output_files import check_outputs, temporary_beside
-from impact_observer.recording.before_the_fit import check_times, doubtful_contacts, model_warnings
+from impact_observer.recording.before_the_fit import (
+    check_times,
+    doubtful_contacts,
+    long_contacts,
+    model_warnings,
+)
 from impact_observer.recording.fit_and_smooth import FitTask, FittedRecording, fit_bag
 from impact_observer.recording.impacts_in_recording import RecordedImpacts, Task, read_recording
 from impact_observer.recording.recording_picture import (
@@ -115,7 +120,7 @@ def fit_recording(
             say(f"warning: {model}: fitted to these impacts, which count twice now")
         for text in impacts.doubts:
             say(f"doubt: {text}")
-        for text in doubtful_contacts(read, events):
+        for text in (*long_contacts(events), *doubtful_contacts(read, events)):
             say(f"warning: {text}")
         task = FitTask(
             recording=recording,

@@ -9,11 +9,16 @@ from two_masses import MODEL
 
 from impact_observer.check.model_check import check_model
 from impact_observer.errors import UsageError
-from impact_observer.events import ImpactEvent
+from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import parse_model, read_model
 from impact_observer.plant import simulate
-from impact_observer.recording.before_the_fit import check_times, doubtful_contacts, model_warnings
-from impact_observer.stamps import grid
+from impact_observer.recording.before_the_fit import (
+    check_times,
+    doubtful_contacts,
+    long_contacts,
+    model_warnings,
+)
+from impact_observer.stamps import NS_PER_S, grid
 
 EPOCH = 10**9
 RECORDING = Path("hits.txt")
@@ -45,6 +50,22 @@ def test_a_contact_that_the_model_reaches_far_too_often_is_named(
     """Of twenty impacts the recording has one."""
     (line,) = doubtful_contacts(read_model("two_mass"), [events[0], events[-1]])
     assert line.startswith("stop: ")
+
+
+def test_a_contact_that_is_closed_most_of_the_time_is_named() -> None:
+    """A switch that opens at a hit; the same one read the other way round is not named."""
+
+    def touching(first: Kind, then: Kind) -> list[ImpactEvent]:
+        stamps = [EPOCH + k * NS_PER_S + by for k in range(9) for by in (0, NS_PER_S // 20)]
+        kinds = (first, then) * 9
+        return [
+            ImpactEvent(stamp, (Switch("stop", kind),), epoch=EPOCH, sequence=k)
+            for k, (stamp, kind) in enumerate(zip(stamps, kinds, strict=True), start=1)
+        ]
+
+    (line,) = long_contacts(touching(Kind.OPEN, Kind.CLOSE))
+    assert line.startswith("stop: ")
+    assert not [*long_contacts(touching(Kind.CLOSE, Kind.OPEN))]
 
 
 def test_times_in_another_unit_are_refused(events: list[ImpactEvent]) -> None:
