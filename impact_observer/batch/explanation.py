@@ -7,7 +7,7 @@ parameters and then with the fitted ones. Each account is revised by its own mot
 off is spurious, and a motion through a stop has missed an impact.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import log
 
@@ -25,6 +25,10 @@ from impact_observer.states import Vector
 
 _SHARES = 0.1, 0.03, 0.01
 """Deviations of parameters over their sizes in the filters that make accounts."""
+_PARTS, _PART = 4, 4
+"""Parts of a recording that are tried, and moments in a part for each unknown."""
+_SURE = 1e-6
+"""Least deviation of a parameter that a part tells, over its size."""
 _REVISIONS = 6
 """Most revisions of an account."""
 _WORTH = 5.0
@@ -101,20 +105,17 @@ def explanation(
     Raises:
         DynamicsError: no motion at all was found.
     """
-    reported, tried = problem.moments, list[tuple[Moment, ...]]()
+    reported, tried = problem.moments, set[tuple[tuple[Moment, ...], bool]]()
     best: Explanation | None = None
-    prior = np.linalg.norm(problem.theta, axis=1)
-    shares = () if trusts_events else _SHARES
-    for share in shares if shares and options.mislabelled > _UNLABELLED else (None, *shares):
-        theta, moments = None, reported
-        if share is not None:
-            theta = best.fit.values if best and share != _SHARES[0] else None
-            about = problem.family.nominal if theta is None else theta
-            deviation = np.minimum(prior, share * problem.family.sizes)
-            moments = run.by_filter(problem.family, about, deviation, options, show)
-        if moments.each in tried:
+
+    def found_so_far() -> Explanation | None:
+        return best
+
+    accounts = _accounts(problem, run, options, trusts_events, found_so_far, show)
+    for theta, moments in accounts:
+        if (key := (moments.each, theta is None)) in tried:
             continue
-        tried.append(moments.each)
+        tried.add(key)
         try:
             found = _revised(replace(problem, moments=moments), theta, reported, options, show)
             if not found.verdict.fits and problem.clock is None and resolution:
@@ -123,12 +124,65 @@ def explanation(
             continue
         if best is None or found.is_better_than(best):
             best = found
-        is_as_reported = best.fit.problem.moments.each == reported.each
-        if best.verdict.fits or (is_as_reported and not best.is_lost):
+        if best.verdict.fits:
             break
     if best is None:
         raise DynamicsError("no motion explains the impacts")
     return best
+
+
+def _accounts(  # noqa: PLR0917
+    problem: BatchProblem,
+    run: RecordedRun,
+    options: Options,
+    trusts_events: bool,
+    best: Callable[[], Explanation | None],
+    show: Callable[[str], None],
+) -> Iterator[tuple[Vector | None, Moments]]:
+    """Yield accounts with the parameters to begin with, None for unknown ones.
+
+    ``best`` returns the explanation that has been found so far, None without one.
+    """
+    is_labelled = options.mislabelled <= _UNLABELLED
+    if trusts_events or is_labelled:
+        yield None, problem.moments
+    if trusts_events:
+        return
+    if is_labelled:
+        for fit in _parts(problem, show):
+            d, least = problem.mean.size, (_SURE * problem.family.sizes) ** 2
+            covariance = fit.covariance[d:, d:] + np.diag(least)
+            sure = replace(options, clock_error=fit.sizes.clock)
+            yield fit.values, run.by_filter(problem.family, fit.values, covariance, sure, show)
+    prior = np.linalg.norm(problem.theta, axis=1)
+    for share in _SHARES:
+        begin: Vector | None = None
+        if (found := best()) is not None:
+            is_as_reported = found.fit.problem.moments.each == problem.moments.each
+            if is_as_reported and not found.is_lost:
+                return
+            begin = None if share == _SHARES[0] else found.fit.values
+        about = problem.family.nominal if begin is None else begin
+        covariance = np.diag(np.minimum(prior, share * problem.family.sizes) ** 2)
+        yield begin, run.by_filter(problem.family, about, covariance, options, show)
+
+
+def _parts(problem: BatchProblem, show: Callable[[str], None]) -> Iterator[MotionFit]:
+    """Yield the motions of parts of a recording that fit as reported.
+
+    An event that is missing or false is in one part alone.
+    """
+    each, size = problem.moments.each, _PART * (problem.mean.size + problem.family.size)
+    if len(each) < 2 * size:
+        return
+    for begin in np.linspace(0, len(each) - size, _PARTS).astype(int).tolist():
+        own = Moments(each[begin].t, each[begin : begin + size])
+        try:
+            fit = _from_phases(replace(problem, moments=own, samples=()), None, show)
+            if verdict_on(fit).fits:
+                yield fit
+        except (DynamicsError, np.linalg.LinAlgError):
+            continue
 
 
 def _revised(
@@ -181,9 +235,11 @@ def _from_phases(
         for j, name in enumerate(family.names)
         if is_phase(name) and deviations[j] >= _UNKNOWN_PHASE
     ]
-    if theta is not None or not unknown:
+    if theta is not None:
+        return fitted(problem, theta=theta, show=show)
+    if not unknown:
         narrow = np.diag(np.minimum(deviations, _NEAR * family.sizes))
-        near = fitted(replace(problem, theta=narrow), theta=theta, rounds=_NEAR_ROUNDS, show=show)
+        near = fitted(replace(problem, theta=narrow), rounds=_NEAR_ROUNDS, show=show)
         return fitted(problem, near, theta=near.values, show=show)
     begun = []
     for turn in np.arange(_PHASES) * 2 * np.pi / _PHASES:

@@ -27,7 +27,6 @@ from impact_observer.observer import Options
 from impact_observer.observer.observer import require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.uncertainty import deviation_of, suggested_deviation
-from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector
 
 _WIDE = 10.0
@@ -36,8 +35,8 @@ _START = 10.0
 """Deviations of the start, over those that are suggested for a rig of this size."""
 _TRIED = 3
 """Other parameters that are tried as the cause of a misfit."""
-_FEW_IN_FLIGHT = 10
-"""Multiples of a step in the usual flight, of which a step is no resolution of a clock."""
+_INTERPOLATED = 0.01
+"""Least standard deviation of a stamp between two samples, over the time between them."""
 _ROUNDS_OF_OTHER = 2
 """Linearisations by which other parameters are compared."""
 
@@ -191,6 +190,7 @@ def identify(
         clock=clock,
         samples=flight_samples(system, measurements, samples, run.epoch, within),
         dead_time=dead_time,
+        least_clock=max(run.rounding, _INTERPOLATED * resolution),
     )
     _check_enough(problem)
 
@@ -201,7 +201,7 @@ def identify(
                 run,
                 options=options,
                 trusts_events=trust_events,
-                resolution=max(resolution, _resolution(run)),
+                resolution=max(resolution, run.resolution),
                 show=progress,
             )
             causes = () if found.verdict.fits else _causes(found.fit, progress)
@@ -244,14 +244,6 @@ def prior_root(family: ParametricFamily, prior: ParameterUncertainty | None) -> 
     which = [names.index(family.names[j]) for j in own]
     root[np.ix_(own, own)] = root_in_own_units(prior.covariance[np.ix_(which, which)])
     return root
-
-
-def _resolution(run: RecordedRun) -> float:
-    """Return what the times between the stamps are multiples of, s; 0 where this is chance."""
-    flights = np.diff(np.unique([key.stamp for key in run.keys]))
-    step = int(np.gcd.reduce(flights))
-    few = _FEW_IN_FLIGHT * step > np.median(flights) if flights.size > 1 else True
-    return 0.0 if few or step == 1 else seconds_between(0, step)
 
 
 def _check_enough(problem: BatchProblem) -> None:

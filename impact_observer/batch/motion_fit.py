@@ -87,6 +87,7 @@ class BatchProblem:
         clock: declared standard deviation of other stamps, s; None to estimate the deviation.
         samples: of sensors beside the impacts.
         dead_time: after an event, in which the sensor reports no other of the contact, s.
+        least_clock: least standard deviation of stamps where none is declared, s.
     """
 
     family: ParametricFamily
@@ -98,6 +99,7 @@ class BatchProblem:
     clock: float | None = None
     samples: tuple[FlightSamples, ...] = ()
     dead_time: float = 0.0
+    least_clock: float = ROUNDED
 
     @property
     def missed(self) -> Indices:
@@ -173,7 +175,8 @@ class MotionFit:
     @cached_property
     def density(self) -> NoiseDensity:
         """The density of all that is measured, by the sizes."""
-        return NoiseDensity(self.prior, self.steps, self.way, self.sizes)
+        least = self.problem.least_clock
+        return NoiseDensity(self.prior, self.steps, self.way, self.sizes, least)
 
     @property
     def log_density(self) -> float:
@@ -346,7 +349,7 @@ def fitted(
     if (sizes := found.density.likeliest_of_all(found.sizes, problem.clock)) != found.sizes:
         others.append((sizes, problem.clock))
     if problem.clock is None and (scatter := found.sizes.scatter or found.sizes.model):
-        others.append((NoiseSizes(ROUNDED, scatter), ROUNDED))
+        others.append((NoiseSizes(problem.least_clock, scatter), problem.least_clock))
     motions = [found]
     for sizes, clock in others:
         with suppress(DynamicsError):
@@ -429,7 +432,9 @@ def _settled(
         steady = np.max(np.abs(before / inflation - 1), initial=0.0) < _STEADY
         alike = np.allclose(sizes, were, rtol=_ALIKE, atol=0.0)
         is_still = fit.distance < _SETTLED
-        if sizes.clock <= ROUNDED and fit.distance < _SETTLED_EXACT:  # the search is rounding
+        if (
+            sizes.clock <= problem.least_clock and fit.distance < _SETTLED_EXACT
+        ):  # the search is rounding
             is_still = is_still or fit.worth < worth + _GAIN
         worth = fit.worth
         if not is_first and is_still and steady and alike:

@@ -61,9 +61,15 @@ class NoiseDensity:
     """
 
     def __init__(
-        self, prior: Gaussian, steps: Sequence[LinearStep], way: Forward, sizes: NoiseSizes
+        self,
+        prior: Gaussian,
+        steps: Sequence[LinearStep],
+        way: Forward,
+        sizes: NoiseSizes,
+        least_clock: float = ROUNDED,
     ) -> None:
-        """Take a pass with ``sizes``."""
+        """Take a pass with ``sizes``; stamps are no better than ``least_clock``, s."""
+        self._least = _LEAST._replace(clock=least_clock)
         self._blocks = [*_blocks(prior, steps, way)]
         is_bounded = all(np.isfinite(each.F).all() for each in self._blocks)
         of_blocks = sum(self._of(each, sizes) for each in self._blocks) if is_bounded else np.inf
@@ -145,7 +151,8 @@ class NoiseDensity:
         """Return sizes of which that of one kind is the best within a factor, or of all."""
         if kind == "clock" and clock is not None:
             return now._replace(clock=clock)
-        low, high = getattr(_LEAST, kind), getattr(limits, kind)
+        low = getattr(self._least, kind)
+        high = max(getattr(limits, kind), low)
         size = getattr(now, kind)
         tried = np.geomspace(low, high, 2 * _TRIED)
         if size and factor is not None:

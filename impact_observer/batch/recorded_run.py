@@ -8,6 +8,7 @@ import numpy as np
 
 from impact_observer.batch.filter_account import TracedLaw, filter_moments
 from impact_observer.batch.moments import Moment, Moments, MomentSwitching
+from impact_observer.batch.noise_sizes import ROUNDED
 from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.errors import BagError
 from impact_observer.events import MISLABELLED, ImpactEvent, Kind, Ruling, Verdict
@@ -20,7 +21,10 @@ from impact_observer.observer.event_order import EventKey, keys_of, switched
 from impact_observer.observer.sender_runs import runs_of
 from impact_observer.observer.unknown_parameters import UnknownParameters
 from impact_observer.stamps import Elapsed, seconds_between
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
+
+_FEW_IN_FLIGHT = 10
+"""Multiples of a step in the usual flight, of which a step is no resolution of a clock."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +74,19 @@ class RecordedRun:
             )
         return run
 
+    @property
+    def resolution(self) -> float:
+        """What the times between the stamps are multiples of, s; 0 where this is chance."""
+        flights = np.diff(np.unique([key.stamp for key in self.keys]))
+        step = int(np.gcd.reduce(flights))
+        few = _FEW_IN_FLIGHT * step > np.median(flights) if flights.size > 1 else True
+        return 0.0 if few or step == 1 else seconds_between(0, step)
+
+    @property
+    def rounding(self) -> float:
+        """Standard deviation of stamps that are wrong by their rounding only, s."""
+        return max(self.resolution / float(np.sqrt(12)), ROUNDED)
+
     def reported(self) -> Moments:
         """The moments if all events are as they were reported."""
         return self._moments([(change, True) for change in self.changes()])
@@ -84,7 +101,7 @@ class RecordedRun:
         self,
         family: ParametricFamily,
         theta: Vector,
-        deviation: Vector,
+        covariance: Matrix,
         options: Options,
         show: Callable[[str], None],
     ) -> Moments:
@@ -93,15 +110,15 @@ class RecordedRun:
         Args:
             family: the system and its parameters.
             theta: their values, shape (p,).
-            deviation: standard deviations of these, shape (p,).
+            covariance: of these, shape (p, p).
             options: of the observer.
             show: receives what is being done.
 
         Raises:
             ImpactLawError, UsageError: as ``Observer.receive``.
         """
-        near, variances = _filter_family(family, theta, deviation**2)
-        unknowns = UnknownParameters(near, np.diag(variances)) if near.size else None
+        near, own = _filter_family(family, theta)
+        unknowns = UnknownParameters(near, covariance[np.ix_(own, own)]) if near.size else None
         chosen = replace(options, law=TracedLaw.name, ensemble=1, epoch=self.epoch)
         observer = make_observer(near.system, chosen, law=TracedLaw, unknowns=unknowns)
 
@@ -154,14 +171,15 @@ class RecordedRun:
         return Moments(Elapsed(self.start - self.epoch), found)
 
 
-def _filter_family(
-    family: ParametricFamily, theta: Vector, variances: Vector
-) -> tuple[ParametricFamily, Vector]:
-    """Return the family about other values, and variances: what moves comes first in a filter."""
+def _filter_family(family: ParametricFamily, theta: Vector) -> tuple[ParametricFamily, list[int]]:
+    """Return the family about other values, and which of its parameters a filter can learn.
+
+    What moves comes first in a filter.
+    """
     own = sorted(
         (j for j, each in enumerate(family.parameters) if is_observed(each.name)),
         key=lambda j: not family.parameters[j].moves,
     )
     parameters = tuple(replace(family.parameters[j], value=float(theta[j])) for j in own)
     system = family.near(theta) if family.size else family.system
-    return ParametricFamily(system, parameters), variances[own]
+    return ParametricFamily(system, parameters), own

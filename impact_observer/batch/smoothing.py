@@ -149,6 +149,7 @@ def _smoothed(  # noqa: PLR0917
         clock=declared.clock_error,
         samples=flight_samples(system, measurements, samples, run.epoch, (run.start, last)),
         dead_time=options.dead_time,
+        least_clock=run.rounding,
     )
 
     with np.errstate(all="ignore"):

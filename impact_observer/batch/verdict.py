@@ -8,7 +8,7 @@ import numpy as np
 from scipy import special
 
 from impact_observer.batch.motion_fit import MotionFit
-from impact_observer.batch.noise_sizes import LARGEST_CLOCK, ROUNDED
+from impact_observer.batch.noise_sizes import LARGEST_CLOCK
 from impact_observer.batch.passes import NoiseSizes
 from impact_observer.states import Vector
 
@@ -16,6 +16,8 @@ UNLIKELY = 1e-6
 """Probability of what is left under the model below which the model is rejected."""
 LARGEST_MODEL_ERROR = 1e-3
 """Largest error of accelerations with which a model fits, over the usual ones."""
+_NEVER = 10.0
+"""Error of accelerations, over the largest one, with which no model fits, however unsure."""
 _LARGEST_SCATTER = 0.06
 """Largest scatter of rebounds with which a model fits: rigs have 0.01 to 0.05."""
 _OF_FLIGHTS = 0.005
@@ -66,7 +68,7 @@ def verdict_on(fit: MotionFit, rejected: int = 0) -> FitVerdict:
     if declared is not None and nu.size:
         size = float(special.chdtrc(nu.size, np.sum(nu**2)))
     # shifts that are small beside the clock error are no evidence, and may repeat themselves
-    least, late = max(2 * ROUNDED, (declared or 0.0) / 2), np.abs(fit.predicted)
+    least, late = max(2 * fit.problem.least_clock, (declared or 0.0) / 2), np.abs(fit.predicted)
     white = whiteness(nu * np.maximum(late - least, 0.0) / np.maximum(late, least))
     moments = fit.problem.moments
     inserted = int(np.sum(fit.problem.errors.has_sensor[fit.problem.missed]))
@@ -93,6 +95,7 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
     flight = float(np.mean(moments.flights[1:])) if moments.count > 1 else np.inf
     limits = NoiseSizes(found.clock, _LARGEST_SCATTER, LARGEST_MODEL_ERROR)
     is_large = not fit.density.allows(limits, fit.sizes, found.declared)
+    is_large = is_large or found.model > _NEVER * limits.model
     if not fit.is_settled:
         yield "the search for a motion has not settled"
     if is_large and found.model > limits.model:
