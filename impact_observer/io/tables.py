@@ -63,6 +63,9 @@ _SHOWN = 60
 """Letters of a cell in an error."""
 _Cells = NDArray[np.object_]
 
+_FEW_CELLS = 3
+"""Most cells of a file with a single row, such as of one impact: time, contact, kind."""
+
 
 @dataclass(frozen=True, slots=True)
 class TableForm:
@@ -376,6 +379,8 @@ class _Reader:
             if (width := len(_trimmed(row))) > known:
                 self.bad[line] = f"{width} columns found; the header has {known}"
             rows.append([*row[:known], *[""] * (known - len(row))])
+        if len(rows) == 1 and not self.header and known > _FEW_CELLS:
+            self.wrong(self.first, f"{known} cells in one line found; expected a line for each")
         self.rows = np.array(numbers, dtype=np.int64)
         self.cells = [np.array(column, dtype=object) for column in zip(*rows, strict=True)]
 

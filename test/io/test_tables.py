@@ -196,6 +196,14 @@ def test_tables_of_instruments_are_read(tmp_path: Path, name: str) -> None:
     )
 
 
+@pytest.mark.parametrize("text", ["0.1 0.25 0.61 0.99\n", "0.1, 0.25, 0.61, 0.99, 1.3\n"])
+def test_times_on_one_line_are_refused(tmp_path: Path, text: str) -> None:
+    """All but the first would be columns of a single row."""
+    (tmp_path / "a.txt").write_text(text, "utf-8")
+    with pytest.raises(UsageError, match="line 1"):
+        read_table(tmp_path / "a.txt", TableForm(), "times")
+
+
 def test_the_line_of_the_header_is_said_where_others_are_above(tmp_path: Path) -> None:
     """What stands above is not read."""
     assert read(tmp_path, table("time,az\n", plain)).times == "times in s"
