@@ -225,7 +225,7 @@ def test_positions_may_be_called_as_their_coordinates(tmp_path: Path) -> None:
         ("time,x1,q_x1,u_x1,x2,u_x2\n0,1,1,1,1,1\n", "line 1: columns q_x1 and x1"),
         (STATES.replace("7", "nan"), "line 3: x2 is 'nan'"),
         (STATES.replace("0.25", "0.75"), "line 3: the clock steps back by 0.25 s"),
-        ("0.5,1,2,3,4\n", "line 1: columns column2"),
+        ("0.5,1,2,3,4\n0.6,1,2,3,4\n", "line 1: columns column2"),
     ],
 )
 def test_a_mistake_in_true_states_is_one_line(
