@@ -118,6 +118,24 @@ def observe(checkout: Checkout, folder: Path, _: int) -> Figures:
     return found
 
 
+def commands(checkout: Checkout, folder: Path, _: int) -> Figures:
+    """The commands of README and tutorial on half a minute of two_mass, with Python's start."""
+    bag, clock = ("--duration", RUN, "--seed", 1, "-o", "bag"), ("--clock-error", "1e-4")
+    lines = (
+        ("simulate", "two_mass", *bag),
+        ("check", "bag"),
+        ("check-model", "two_mass"),
+        ("observe", "bag", "-o", "estimate"),
+        ("plot", "estimate", "-o", "motion.png"),
+        ("compare", "estimate"),
+        ("export", "estimate", "-o", "table.csv"),
+        ("identify", "bag", "--free", "restitution,gap", *clock, "-o", "fitted.yaml"),
+        ("smooth", "bag", *clock, "-o", "smoothed"),
+        ("demo",),
+    )
+    return {each[0]: Figure(checkout.run(folder, *each).seconds, "s") for each in lines}
+
+
 def sweep(checkout: Checkout, folder: Path, _: int) -> Figures:
     """Starts of three_mass, each observed for 20 s."""
     taken = []
@@ -152,6 +170,7 @@ ROWS = (
         for name, (text, troubles) in _FILTERED.items()
     ),
     Row("observe", "what does a recorded second cost?", observe),
+    Row("commands", "how long do README's commands take?", commands),
     Row("sweep", "how long do many runs take?", sweep),
     Row("topic", "how late is an estimate after its event, by topics?", topic),
 )
