@@ -2,9 +2,10 @@
 """The search for the account of a recording, and the motion that explains the account best.
 
 All events as reported come first. Where no motion explains these events, and no revision of their
-account ends with a motion that fits, a filter goes through the recording, with the given
-parameters and then with the fitted ones. Each account is revised by its own motion: a stamp far
-off is spurious, and a motion through a stop has missed an impact.
+account ends with a motion that fits, a filter goes through the recording: with the parameters of
+parts of the recording that fit as reported, then with the given and with the fitted ones. Each
+account is revised by its own motion: a stamp far off is spurious, and a motion through a stop has
+missed an impact.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,7 +28,7 @@ _SHARES = 0.1, 0.03, 0.01
 """Deviations of parameters over their sizes in the filters that make accounts."""
 _PARTS, _PART = 4, 4
 """Parts of a recording that are tried, and moments in a part for each unknown."""
-_SURE = 1e-6
+_SHARPEST = 1e-6
 """Least deviation of a parameter that a part tells, over its size."""
 _REVISIONS = 6
 """Most revisions of an account."""
@@ -118,8 +119,7 @@ def explanation(
         tried.add(key)
         try:
             found = _revised(replace(problem, moments=moments), theta, reported, options, show)
-            if not found.verdict.fits and problem.clock is None and resolution:
-                found = _at_resolution(found, resolution, reported, options, show)
+            found = _at_resolution(found, resolution, reported, options, show)
         except (DynamicsError, np.linalg.LinAlgError):
             continue
         if best is None or found.is_better_than(best):
@@ -150,7 +150,7 @@ def _accounts(  # noqa: PLR0917
         return
     if is_labelled:
         for fit in _parts(problem, show):
-            d, least = problem.mean.size, (_SURE * problem.family.sizes) ** 2
+            d, least = problem.mean.size, (_SHARPEST * problem.family.sizes) ** 2
             covariance = fit.covariance[d:, d:] + np.diag(least)
             sure = replace(options, clock_error=fit.sizes.clock)
             yield fit.values, run.by_filter(problem.family, fit.values, covariance, sure, show)
@@ -213,11 +213,12 @@ def _at_resolution(
     options: Options,
     show: Callable[[str], None],
 ) -> Explanation:
-    """Return the explanation by stamps no better than their ``resolution``, s, if that one fits.
+    """Return an explanation that fits by stamps of this ``resolution``, s; ``found`` without one.
 
     Of a periodic motion the rounding repeats itself, which says nothing of the model.
     """
-    if found.fit.sizes.clock > resolution / 2:
+    is_declared = found.fit.problem.clock is not None
+    if found.verdict.fits or is_declared or found.fit.sizes.clock > resolution / 2:
         return found
     rounded = replace(found.fit.problem, clock=resolution)
     other = _explained(fitted(rounded, found.fit, show=show), reported, options)

@@ -432,9 +432,8 @@ def _settled(
         steady = np.max(np.abs(before / inflation - 1), initial=0.0) < _STEADY
         alike = np.allclose(sizes, were, rtol=_ALIKE, atol=0.0)
         is_still = fit.distance < _SETTLED
-        if (
-            sizes.clock <= problem.least_clock and fit.distance < _SETTLED_EXACT
-        ):  # the search is rounding
+        is_rounding = sizes.clock <= problem.least_clock  # what is left of the search
+        if is_rounding and fit.distance < _SETTLED_EXACT:
             is_still = is_still or fit.worth < worth + _GAIN
         worth = fit.worth
         if not is_first and is_still and steady and alike:

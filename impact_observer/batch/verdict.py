@@ -94,8 +94,8 @@ def _reasons(fit: MotionFit, found: FitVerdict) -> Iterator[str]:
     moments = fit.problem.moments
     flight = float(np.mean(moments.flights[1:])) if moments.count > 1 else np.inf
     limits = NoiseSizes(found.clock, _LARGEST_SCATTER, LARGEST_MODEL_ERROR)
-    is_large = not fit.density.allows(limits, fit.sizes, found.declared)
-    is_large = is_large or found.model > _NEVER * limits.model
+    is_large = found.model > _NEVER * limits.model
+    is_large = is_large or not fit.density.allows(limits, fit.sizes, found.declared)
     if not fit.is_settled:
         yield "the search for a motion has not settled"
     if is_large and found.model > limits.model:

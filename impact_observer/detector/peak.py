@@ -31,13 +31,13 @@ _RECENT = 4
 class _Top:
     """The top of a signal, as its samples come: the first sample with the largest value.
 
-    The samples beside the top are ``left`` and ``right``; None where there is none, or none yet.
+    The samples beside the top are ``left`` and ``right``; ``right`` is None before it has come.
     ``last`` is the stamp of the last equal sample in a row, as at the limit of a range.
     """
 
     top: Point
     last: int
-    left: Point | None
+    left: Point
     right: Point | None = None
 
     def extend(self, before: Point, point: Point) -> None:
@@ -53,7 +53,7 @@ class _Top:
         """Returns the stamp of the top, ns."""
         if self.last > self.top[0]:
             return (self.top[0] + self.last) // 2
-        if self.left is None or self.right is None:
+        if self.right is None:
             return self.top[0]
         return self.top[0] + vertex(self.left, self.top, self.right)
 
