@@ -21,7 +21,7 @@ from impact_observer.events import MISLABELLED, Contacts, Ruling
 from impact_observer.stamps import Elapsed
 
 _KEPT = 64
-"""Notes of each hypothesis that are kept."""
+"""Notes of each hypothesis that are kept, and those on the same event as the oldest of them."""
 
 
 class Note(NamedTuple):
@@ -112,7 +112,7 @@ def decided(
             Note(event.key, event.stamp, i, ruling, reason, size, other, state)
             for i, other in zip(event.hit, hit, strict=True)
         )
-        notes.append((*rows.notes[k], *inserted, *own)[-_KEPT:])
+        notes.append(_latest((*rows.notes[k], *inserted, *own)))
     past = rows.decided(8 * hit[0] + decision)
     return rows._replace(
         past=past,
@@ -120,6 +120,14 @@ def decided(
         missed=objects([()] * rows.size),
         sunk=np.zeros(rows.size),
     )
+
+
+def _latest(notes: tuple[Note, ...]) -> tuple[Note, ...]:
+    """The notes that are kept: no event keeps a part of its notes."""
+    first = max(len(notes) - _KEPT, 0)
+    while first and notes[first - 1].event == notes[first].event:
+        first -= 1
+    return notes[first:]
 
 
 def _inserted(each: Missed, event: Event, t: Elapsed) -> Note:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The search for the account of a recording, and the motion that explains the account best.
 
-All events as reported come first. Where no motion explains these events, and no revision of their
-account ends with a motion that fits, a filter goes through the recording: with the parameters of
-parts of the recording that fit as reported, then with the given and with the fitted ones. Each
-account is revised by its own motion: a stamp far off is spurious, and a motion through a stop has
-missed an impact.
+All events as reported come first. Where no motion explains all of their stamps, and no revision
+of their account ends with a motion that does, a filter goes through the recording: with the
+parameters of parts of the recording that fit as reported, then with the given and with the fitted
+ones. Each account is revised by its own motion: a stamp far off is spurious, and a motion through
+a stop has missed an impact.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ import numpy as np
 from impact_observer.batch.moments import Moment, Moments
 from impact_observer.batch.motion_fit import LOST, BatchProblem, MotionFit, fitted
 from impact_observer.batch.recorded_run import RecordedRun
-from impact_observer.batch.revision import revised
+from impact_observer.batch.revision import SPURIOUS, revised
 from impact_observer.batch.verdict import FitVerdict, verdict_on
 from impact_observer.errors import DynamicsError
 from impact_observer.model.free_parameters import is_phase
@@ -67,6 +67,12 @@ class Explanation:
         """Whether no motion was found by which single events can be judged."""
         verdict = self.verdict
         return verdict.model > LOST or verdict.has_outliers or self.fit.is_astray
+
+    @property
+    def explains_all_stamps(self) -> bool:
+        """Whether the model fits, and no stamp of the account looks spurious."""
+        farthest = float(np.max(np.abs(self.fit.standardized), initial=0.0))
+        return self.verdict.fits and farthest <= SPURIOUS
 
     @property
     def missed(self) -> int:
@@ -124,7 +130,7 @@ def explanation(
             continue
         if best is None or found.is_better_than(best):
             best = found
-        if best.verdict.fits:
+        if best.explains_all_stamps:
             break
     if best is None:
         raise DynamicsError("no motion explains the impacts")

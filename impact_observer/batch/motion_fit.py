@@ -432,7 +432,7 @@ def _settled(
         steady = np.max(np.abs(before / inflation - 1), initial=0.0) < _STEADY
         alike = np.allclose(sizes, were, rtol=_ALIKE, atol=0.0)
         is_still = fit.distance < _SETTLED
-        is_rounding = sizes.clock <= problem.least_clock  # what is left of the search
+        is_rounding = sizes.clock <= ROUNDED  # what is left of the search
         if is_rounding and fit.distance < _SETTLED_EXACT:
             is_still = is_still or fit.worth < worth + _GAIN
         worth = fit.worth

@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 
 from impact_observer.batch.identification import identify
+from impact_observer.batch.recorded_run import RecordedRun
+from impact_observer.batch.smoothing import smoothed_runs
+from impact_observer.events import ImpactEvent
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parametric_family
+from impact_observer.observer import Options
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S
 
-EPOCH = 5 * NS_PER_S
+EPOCH, STEP = 5 * NS_PER_S, NS_PER_S // 10_000
 GUESSED = {"stiffness": 312, "damping": 0.46, "amplitude": 7.5, "limit": 0.0037, "e": 0.54}
 TRUE = {"stiffness": 324, "damping": 0.426, "amplitude": 7.81, "limit": 0.0035, "e": 0.51}
 RIG = """name: shaken
@@ -41,22 +45,44 @@ def rig(numbers: dict[str, float]) -> Model:
     return parse_model(RIG.format(**numbers), "shaken.yaml")
 
 
-@pytest.mark.parametrize("missing", [50, 73])
-def test_a_missing_impact_is_inserted_and_the_numbers_are_found(missing: int) -> None:
-    """Parts of the recording tell the numbers, and these where an impact is missing."""
-    true, given = rig(TRUE), rig(GUESSED)
+@pytest.fixture(scope="module")
+def printed() -> list[ImpactEvent]:
+    """The impacts of 12 s of the true rig, with four digits behind the point."""
+    true = rig(TRUE)
     plant = Plant(true.system, *true.initial_state(), epoch=EPOCH)
     run = simulate(plant, np.array([EPOCH, EPOCH + 12 * NS_PER_S]))
-    step = NS_PER_S // 10_000
-    printed = [replace(each, stamp=round(each.stamp / step) * step) for each in run.events]
+    return [replace(each, stamp=round(each.stamp / STEP) * STEP) for each in run.events]
+
+
+@pytest.mark.parametrize("missing", [50, 73])
+def test_a_missing_impact_is_inserted_and_the_numbers_are_found(
+    missing: int, printed: list[ImpactEvent]
+) -> None:
+    """Parts of the recording tell the numbers, and these where an impact is missing."""
+    true, given = rig(TRUE), rig(GUESSED)
+    events = printed[:missing] + printed[missing + 1 :]
     assert given.uncertainty is not None
     names = given.uncertainty.names
-    found = identify(
-        parametric_family(given.system, names, given.elements),
-        printed[:missing] + printed[missing + 1 :],
-        prior=given.uncertainty,
-    )
+    family = parametric_family(given.system, names, given.elements)
+    found = identify(family, events, prior=given.uncertainty)
     assert found.verdict.fits
     assert found.found.missed == 1
     wanted = parametric_family(true.system, names, true.elements).nominal
     assert np.max(np.abs(found.values - wanted) / found.errors) < 4
+    (smoothed,) = smoothed_runs(given, events, Options(epoch=EPOCH), known=found.found)
+    late = smoothed.instants - [each.stamp for each in printed]
+    assert np.max(np.abs(late)) < STEP
+
+
+def test_an_impact_inserted_long_ago_is_in_the_account_of_the_filter(
+    printed: list[ImpactEvent],
+) -> None:
+    """Each impact is in the account, also where more than a hundred events follow."""
+    system, missing = rig(TRUE).system, 6
+    events = printed[:missing] + printed[missing + 1 :]
+    run, family = RecordedRun.of(system, events, EPOCH), parametric_family(system, ())
+    options = Options(clock_error=STEP * 1e-9, initial_deviation="1e-3")
+    moments = run.by_filter(family, np.zeros(0), np.zeros((0, 0)), options, lambda _: None)
+    assert len(events) > 100
+    (inserted,) = (each for each in moments.each if not each.is_measured)
+    assert abs(inserted.stamp - printed[missing].stamp) < 10 * STEP
