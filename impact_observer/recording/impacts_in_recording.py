@@ -11,7 +11,7 @@ from impact_observer.detector import Source
 from impact_observer.detector.bag_detection import BagDetection, detect_bag
 from impact_observer.detector.sensors import SignalTrace
 from impact_observer.detector.signal_detection import detect_signal
-from impact_observer.detector.source import ARRIVAL, PEAK
+from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
@@ -32,6 +32,7 @@ from impact_observer.recording.detection_choice import (
     simulated_impacts,
     usual_dead_time,
 )
+from impact_observer.recording.switch_choice import choose_switch, is_switch
 from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Stamps, Vector
 
@@ -161,10 +162,10 @@ def _from_signal(task: Task, signal: Signal, bag: Path) -> RecordedImpacts:
     """Find the impacts in a signal; without an epoch the first of time 0 and a sample is it."""
     columns = {topic: name for name, topic in signal.topics.items()}
     moving = {topic: name for topic, name in columns.items() if np.ptp(signal.columns[name]) > 0}
-    declared = task.sources or [Source(task.contact, _only(task.path, moving))]
+    declared = task.sources or [Source(task.contact, _only(task.path, moving or columns))]
     arrays = dict[str, tuple[Stamps, Vector]]()
     for source in declared:
-        if (topic := topic_of(source.topic)) in columns and source.kind in (None, PEAK):
+        if (topic := topic_of(source.topic)) in columns:
             values = signal.columns[columns[topic]]
             known = np.isfinite(values)
             arrays[source.topic] = signal.stamps[known], values[known]
@@ -197,27 +198,27 @@ def _from_bag(task: Task, bag: Path) -> RecordedImpacts:
             reader, task.sources or [Source(task.contact, _only(task.path, foreign))]
         )
         known = known or reader.start
-        choice = _chosen(task, declared, _peaks_in(reader, declared))
+        choice = _chosen(task, declared, _signals_in(reader, declared))
         found = detect_bag(reader, choice.sources, bag, model=task.model, epoch=known, traced=True)
     return _found(task, bag, found, choice, epoch=known, knows_epoch=known != reader.start)
 
 
 def _with_kinds(reader: BagReader, sources: Sequence[Source]) -> list[Source]:
-    """Return the sensors with their kinds, by the types of their topics; others are peaks."""
+    """Return the sensors with their kinds, where the types of their topics tell the kinds."""
     types = {topic: each.type for topic, each in reader.topics.items()}
     topics = [interfaces.absolute(each.topic) for each in sources]
     return [
-        replace(each, kind=each.kind_on(types[topic]) or PEAK) if topic in types else each
+        replace(each, kind=each.kind_on(types[topic]) or None) if topic in types else each
         for each, topic in zip(sources, topics, strict=True)
     ]
 
 
-def _peaks_in(reader: BagReader, sources: Sequence[Source]) -> dict[str, tuple[Stamps, Vector]]:
-    """Return stamps, ns, and values of the sensors of peaks in a bag; of a vector the norm."""
+def _signals_in(reader: BagReader, sources: Sequence[Source]) -> dict[str, tuple[Stamps, Vector]]:
+    """Return stamps, ns, and values of peaks and switches in a bag; of a vector the norm."""
     arrays = dict[str, tuple[Stamps, Vector]]()
     for source in sources:
         topic = interfaces.absolute(source.topic)
-        if topic not in reader.topics or source.kind != PEAK:
+        if topic not in reader.topics or source.kind == ARRIVAL:
             continue
         complete = replace(source, threshold=source.threshold or 1.0)
         path = complete.complete(reader.topics[topic].type).path()
@@ -243,10 +244,7 @@ class _Choice:
 def _chosen(
     task: Task, declared: Sequence[Source], arrays: Mapping[str, tuple[Stamps, Vector]]
 ) -> _Choice:
-    """Choose what sensors do not declare, by their signals and the model: of arrivals a dead time.
-
-    A switch has defaults of its own.
-    """
+    """Choose what sensors do not declare, by their signals and the impacts of the model."""
     sources, refused, doubts = list[Source](), list[Stamps](), list[str]()
     ends = [(int(stamps[0]), int(stamps[-1])) for stamps, _ in arrays.values()]
     seconds = max((seconds_between(*each) for each in ends), default=_USUAL)
@@ -255,11 +253,14 @@ def _chosen(
         own = task.model.noticed if len(declared) < len(task.model.noticed) else (given.contact,)
         expected = expected_impacts(simulated, own)
         chosen = ChosenSource(given, np.zeros(0, np.int64), ())
-        if given.topic in arrays:
-            chosen = choose_detection(given, *arrays[given.topic], expected)
-        elif given.kind == ARRIVAL and given.dead_time is None:
+        signal = arrays.get(given.topic)
+        if given.kind == ARRIVAL and given.dead_time is None:
             dead = float(f"{usual_dead_time(expected):.3g}")
             chosen = replace(chosen, source=replace(given, dead_time=dead))
+        elif signal and given.kind in (None, SWITCH) and is_switch(given, signal[1]):
+            chosen = replace(chosen, source=choose_switch(given, *signal))
+        elif signal and given.kind in (None, PEAK):
+            chosen = choose_detection(given, *signal, expected)
         sources.append(chosen.source)
         refused.append(chosen.refused)
         doubts += chosen.doubts
@@ -311,7 +312,8 @@ def _only(path: Path, names: Mapping[str, object]) -> str:
 def _words(source: Source) -> str:
     """Return the options with which a sensor's impacts were found."""
     if source.kind != PEAK:
-        return f"{source.kind}, dead time {source.dead_time:g} s"
+        inverted = ", inverted" if source.inverted else ""
+        return f"{source.kind}{inverted}, dead time {source.dead_time:g} s"
     keys = ("threshold", "dead_time", "decay", "baseline")
     numbers = [f"--{key.replace('_', '-')} {getattr(source, key):g}" for key in keys]
     return " ".join([*numbers, f"--instant {source.instant}"])

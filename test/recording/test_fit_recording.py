@@ -88,7 +88,24 @@ def bag(_run: Run, folder: Path) -> Path:
     return folder / "bag"
 
 
-def sensor_bag(run: Run, folder: Path, type_name: str, *, stepping_back: bool = False) -> str:
+def switch_line(run: Run, folder: Path, *, opens: bool, volts: float) -> Path:
+    """A CSV at 1 kHz of a switch that closes, or ``opens``, for some ms at a hit, with noise."""
+    t = np.arange(int(SECONDS * 1000)) / 1000
+    closed = np.zeros(t.size, dtype=bool)
+    for hit in instants(run):
+        closed[(t >= hit) & (t < hit + 0.004)] = True
+    level = volts * (closed != opens)
+    if volts > 1:
+        level = level + 0.02 * volts * np.random.default_rng(3).normal(size=t.size)
+    path = folder / "switch.csv"
+    rows = "\n".join(f"{x:.3f},{y:g}" for x, y in zip(t, level, strict=True))
+    path.write_text(f"time,line\n{rows}\n")
+    return path
+
+
+def sensor_bag(
+    run: Run, folder: Path, type_name: str, *, stepping_back: bool = False, opens: bool = False
+) -> str:
     """A bag of a sensor that reports each hit, and once more 2 ms later; returns its name."""
     types, make = typestore().types, bag_messages()
     hits = [(each.stamp + late, not late) for each in run.events for late in (0, 2_000_000)]
@@ -101,7 +118,7 @@ def sensor_bag(run: Run, folder: Path, type_name: str, *, stepping_back: bool = 
             if type_name.endswith("Header"):
                 message = types[type_name](stamp=make.time(stamp), frame_id="hit")
             else:
-                message = types[type_name](data=is_closed)
+                message = types[type_name](data=is_closed != opens)
             writer.write("/sensor", log_time, message)
     return "bag"
 
@@ -277,6 +294,23 @@ def test_sensors_without_a_threshold_need_none(
     assert any(f"{len(run.events)} impacts of stop" in each for each in said)
 
 
+@pytest.mark.parametrize("opens", [False, True])
+@pytest.mark.parametrize("volts", [1.0, 5.0])
+def test_a_line_with_two_levels_is_a_switch_of_short_contacts(
+    volts: float, opens: bool, run: Run, rig: Path
+) -> None:
+    """A column of 0 and 1, and a noisy line of 5 V, of switches that close or open at a hit."""
+    said = said_before_the_fit(switch_line(run, rig, opens=opens, volts=volts))
+    words = "switch, inverted" if opens else "switch"
+    assert any(f"{len(run.events)} impacts of stop; {words}, dead" in each for each in said)
+
+
+def test_a_switch_in_a_bag_that_opens_at_a_hit_is_inverted(run: Run, rig: Path) -> None:
+    """Contacts are shorter than flights."""
+    said = said_before_the_fit(rig / sensor_bag(run, rig, "std_msgs/msg/Bool", opens=True))
+    assert any(f"{len(run.events)} impacts of stop; switch, inverted" in each for each in said)
+
+
 def test_forces_of_one_frequency_keep_their_phases_to_each_other(run: Run, rig: Path) -> None:
     """Without an epoch two forces half a turn apart are late by one time."""
     pair = (
@@ -332,4 +366,12 @@ def test_what_cannot_be_used_is_one_line(
     assert main(["fit", *words, "-o", "out"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert named in line
+    assert not (rig / "out").exists()
+
+
+def test_a_silent_signal_is_named(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The sensor that has no impact; exit code 1, and no folder."""
+    (rig / "silent.csv").write_text("time,a\n" + "\n".join(f"{k / 100},0" for k in range(200)))
+    assert main(["fit", "silent.csv", "rig.yaml", "-o", "out"]) == 1
+    assert "/a" in capsys.readouterr().err
     assert not (rig / "out").exists()
