@@ -162,12 +162,8 @@ def _accounts(  # noqa: PLR0917
             yield fit.values, run.by_filter(problem.family, fit.values, covariance, sure, show)
     prior = np.linalg.norm(problem.theta, axis=1)
     for share in _SHARES:
-        begin: Vector | None = None
-        if (found := best()) is not None:
-            is_as_reported = found.fit.problem.moments.each == problem.moments.each
-            if is_as_reported and not found.is_lost:
-                return
-            begin = None if share == _SHARES[0] else found.fit.values
+        found = best()
+        begin = None if found is None or share == _SHARES[0] else found.fit.values
         about = problem.family.nominal if begin is None else begin
         covariance = np.diag(np.minimum(prior, share * problem.family.sizes) ** 2)
         yield begin, run.by_filter(problem.family, about, covariance, options, show)
