@@ -10,7 +10,7 @@ from impact_observer.batch.identification import identify
 from impact_observer.batch.recorded_run import RecordedRun
 from impact_observer.batch.smoothing import smoothed_runs
 from impact_observer.events import ImpactEvent
-from impact_observer.model import Model, parse_model
+from impact_observer.model import Model, parse_model, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Options
 from impact_observer.plant import Plant, simulate
@@ -86,3 +86,16 @@ def test_an_impact_inserted_long_ago_is_in_the_account_of_the_filter(
     assert len(events) > 100
     (inserted,) = (each for each in moments.each if not each.is_measured)
     assert abs(inserted.stamp - printed[missing].stamp) < 10 * STEP
+
+
+def test_a_missing_impact_is_inserted_where_the_reported_ones_nearly_fit() -> None:
+    """An error of the accelerations of 7 % would explain the reported impacts."""
+    family = parametric_family(read_model("two_mass").system, ("restitution", "stiffness-scale"))
+    true, missing = np.array([0.66, 1.05]), 5
+    start = np.array([[-0.167, 0.102], [-0.842, -1.734]])
+    plant = Plant(family.system_at(true), *start, epoch=EPOCH)
+    run = simulate(plant, np.array([EPOCH, EPOCH + 60 * NS_PER_S]))
+    found = identify(family, run.events[:missing] + run.events[missing + 1 :])
+    assert found.verdict.fits
+    assert found.found.missed == 1
+    assert np.max(np.abs(found.values - true) / found.errors) < 4
