@@ -64,8 +64,8 @@ _STEP = 1024
 class TopicInfo:
     """A topic of a bag, by its absolute name.
 
-    The types of publishers that disagreed are joined by `` and ``. Quality of service and the
-    definition of the type may not be in the bag.
+    The types of publishers that disagreed are joined by the word ``and``. Quality of service and
+    the definition of the type may not be in the bag.
     """
 
     name: str
