@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from systems import examples, system, systems, vectors
 
 from impact_observer.dynamics import ImpactLaw
-from impact_observer.dynamics.contact.impact_balance import impact_balance
+from impact_observer.dynamics.contact.impact_balance import impact_balance, uncertain_balance
 from impact_observer.model import System
+from impact_observer.model.free_parameters import parametric_family
 
 
 def test_one_contact_is_the_closed_form() -> None:
@@ -51,3 +52,30 @@ def test_contacts_that_depend_on_each_other_share_the_impulse() -> None:
     model = system([[1]], [[0]], [[1]], contacts=[([1], 0, 0.5), ([1], 0, 0.5)])
     found = impact_balance(model, (0, 1), (0, 1), np.array([-2.0, -2.0]))
     np.testing.assert_allclose(found, [[2, 1, 1.5, 0.75]] * 2)
+
+
+def test_deviations_of_a_balance_are_those_of_its_derivatives() -> None:
+    """A mass of 2 kg; speed, restitution and rebound have independent errors."""
+    m, e, s = 2.0, 0.6, 2.5
+    model = system([[m]], [[0]], [[1]], contacts=[([1], 0, e)])
+    family = parametric_family(model, ("restitution",))
+    errors = speed, restitution, rebound = 0.01, 0.02, 0.03
+    values, deviations = uncertain_balance(
+        family.near,
+        (0,),
+        (0,),
+        gamma=np.array([-s]),
+        theta=family.nominal,
+        root=np.diag([speed, restitution]),
+        scatter=np.array([rebound]),
+    )
+    np.testing.assert_allclose(values, [[s, e * s, m * (1 + e) * s, m * (1 - e**2) * s**2 / 2]])
+    slopes = np.array(
+        [
+            [1, 0, 0],
+            [e, s, 1],
+            [m * (1 + e), m * s, m],
+            [m * (1 - e**2) * s, -m * e * s**2, -m * e * s],
+        ]
+    )
+    np.testing.assert_allclose(deviations[0], np.linalg.norm(slopes * errors, axis=1), rtol=1e-5)
