@@ -166,7 +166,10 @@ def _accounts(  # noqa: PLR0917
         begin = None if found is None or share == _SHARES[0] else found.fit.values
         about = problem.family.nominal if begin is None else begin
         covariance = np.diag(np.minimum(prior, share * problem.family.sizes) ** 2)
-        yield begin, run.by_filter(problem.family, about, covariance, options, show)
+        moments = run.by_filter(problem.family, about, covariance, options, show)
+        if found and not found.is_lost and moments.each == problem.moments.each:
+            return  # the motion is near, and nothing is missing or false
+        yield begin, moments
 
 
 def _parts(problem: BatchProblem, show: Callable[[str], None]) -> Iterator[MotionFit]:
