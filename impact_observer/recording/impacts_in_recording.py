@@ -159,7 +159,7 @@ def _signal(task: Task) -> Signal | None:
 
 
 def _from_signal(task: Task, signal: Signal, bag: Path) -> RecordedImpacts:
-    """Find the impacts in a signal; without an epoch the first of time 0 and a sample is it."""
+    """Find the impacts in a signal; without an epoch the first sample is it."""
     columns = {topic: name for name, topic in signal.topics.items()}
     moving = {topic: name for topic, name in columns.items() if np.ptp(signal.columns[name]) > 0}
     declared = task.sources or [Source(task.contact, _only(task.path, moving or columns))]
@@ -170,9 +170,7 @@ def _from_signal(task: Task, signal: Signal, bag: Path) -> RecordedImpacts:
             known = np.isfinite(values)
             arrays[source.topic] = signal.stamps[known], values[known]
     choice = _chosen(task, declared, arrays)
-    first = int(signal.stamps[0])
-    start = min(signal.zero or first, first)
-    epoch = task.epoch or (start if task.model.system.depends_on_time else 0)
+    epoch = task.epoch or (int(signal.stamps[0]) if task.model.system.depends_on_time else 0)
     found = detect_signal(signal, choice.sources, bag, model=task.model, epoch=epoch, traced=True)
     impacts = _found(task, bag, found, choice, epoch=epoch, knows_epoch=task.epoch is not None)
     interval = float(np.median(np.diff(signal.stamps))) / NS_PER_S
