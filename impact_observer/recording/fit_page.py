@@ -205,7 +205,7 @@ def _lines(
     yield _verdict(task, fit, hits)
     yield from _numbers(task, fit)
     yield from _motion(fit, hits)
-    for doubt in [*_doubts(fit)][:_DOUBTS]:
+    for doubt in [*_doubts(task, fit)][:_DOUBTS]:
         yield f"doubt: {doubt}"
     names = ", ".join(sorted(each.name for each in folder.iterdir()))
     yield f"{folder}: {names}"
@@ -271,11 +271,20 @@ def _motion(fit: FittedRecording, hits: Sequence[ImpactEstimate]) -> Iterator[st
     )
 
 
-def _doubts(fit: FittedRecording) -> Iterator[str]:
+def _doubts(task: FitTask, fit: FittedRecording) -> Iterator[str]:
     """Return what makes the numbers or the motion doubtful, the worst first."""
     found = fit.identification
+    if fit.failure:
+        forces = [f"{each:.3g} Hz" for each in task.model.system.forcing.frequency / (2 * np.pi)]
+        yield (
+            "many impacts are false or missing (motion.png; `threshold` in a file for --sources),"
+            " or a number is far off"
+            + (f" (the model has forces of {', '.join(forces)})" if forces else "")
+        )
     if found is not None and not fit.failure:
         yield from (*doubts(found), *found.verdict.reasons)
+        if not fit.fits and found.verdict.declared is None:
+            yield "soft hits may be stamped late, by more than others: --clock-error declares this"
     for cause in [] if found is None else [each for each in found.causes if each.fits][:1]:
         yield (
             f"with {cause.name} {cause.value:.4g} instead of {cause.given:.4g} the model fits: if"

@@ -25,6 +25,7 @@ from impact_observer.io.tables import TableForm, read_table
 from impact_observer.message_fields import header_stamp, numbers_at
 from impact_observer.model import Model
 from impact_observer.observer import Options
+from impact_observer.recording.crosstalk import crosstalk
 from impact_observer.recording.detection_choice import (
     ChosenSource,
     choose_detection,
@@ -108,10 +109,21 @@ def read_recording(
         UsageError, BagError: the recording cannot be read, has no impact, or does not go with the
             model.
     """
-    path = task.path
-    show(f"reading {path}")
-    if path.suffix.lower() not in SIGNAL_FILES:
+    show(f"reading {task.path}")
+    if task.path.suffix.lower() not in SIGNAL_FILES:
         return _from_bag(task, bag)
+    try:
+        return _from_file(task, bag)
+    except UsageError as error:
+        if "--" not in (text := str(error)) or "--sources" in text:
+            raise
+        key = "such as `table: {time_unit: us}`"
+        raise UsageError(f"{text}; of fit these are keys of a file for --sources, {key}") from None
+
+
+def _from_file(task: Task, bag: Path) -> RecordedImpacts:
+    """Find the impacts in a signal, or take those of a table of times."""
+    path = task.path
     if (signal := _signal(task)) is not None:
         return _from_signal(task, signal, bag)
     imported = import_table(
@@ -286,7 +298,7 @@ def _found(
     return RecordedImpacts(
         bag,
         lines,
-        [*choice.doubts, *found.doubts, *found.problems],
+        [*choice.doubts, *found.doubts, *found.problems, *crosstalk(found.sources, found.traces)],
         knows_epoch,
         epoch=epoch,
         mislabelled=1 - 1 / contacts if len(found.sources) < contacts else Options.mislabelled,

@@ -353,6 +353,7 @@ def test_a_phase_that_impacts_do_not_tell_is_uncertain_by_half_a_turn(run: Run, 
         (["two.csv", "rig.yaml"], "--sources"),
         (["times.txt", "hammer_arm"], "hammer_arm"),
         (["times.txt", "rig.yaml", "--sources", "odd.yaml"], "table.rows"),
+        (["named.csv", "rig.yaml"], "table: {"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(
@@ -362,6 +363,7 @@ def test_what_cannot_be_used_is_one_line(
     typed_times(run, rig)
     rows = "\n".join(f"{k / 100},{k % 7},{k % 5}" for k in range(200))
     (rig / "two.csv").write_text(f"time,a,b\n{rows}\n")
+    (rig / "named.csv").write_text("notes,none\n1,2\n2,3\n")
     (rig / "odd.yaml").write_text("table: {rows: 3}\n")
     for suffix in (".m4a", ".mat", ".xlsx", ".tdms"):
         (rig / f"hits{suffix}").touch()
@@ -377,3 +379,13 @@ def test_a_silent_signal_is_named(rig: Path, capsys: pytest.CaptureFixture[str])
     assert main(["fit", "silent.csv", "rig.yaml", "-o", "out"]) == 1
     assert "/a" in capsys.readouterr().err
     assert not (rig / "out").exists()
+
+
+def test_where_nothing_fits_the_frequencies_of_forces_are_named(
+    run: Run, rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Hertz were written for rad/s."""
+    text = MODEL.replace("RESTITUTION", UNKNOWN).replace("frequency: 2.5", "frequency: 0.398")
+    (rig / "rig.yaml").write_text(text)
+    assert main(["fit", typed_times(run, rig).name, "rig.yaml", "-o", "out"]) == 1
+    assert "0.0633 Hz" in capsys.readouterr().out
