@@ -195,3 +195,11 @@ def test_each_contact_has_a_clock_of_its_own() -> None:
     )
     assert np.all(np.abs(found.values - true) < 3.5 * found.errors)
     assert found.errors[3] < 3e-5 < found.errors[2]
+
+
+def test_a_model_that_does_not_fit_is_published_with_twice_its_error() -> None:
+    """Errors of models persist from flight to flight; of a model that fits nothing is added."""
+    wrong = identified("two_mass", 1e-5, 0, ("restitution",), 30.0).found.fit
+    assert wrong.published(fits=False).sizes.model >= 2 * wrong.sizes.model > 0
+    right = identified("two_mass", 1e-5, 0, seconds=30.0).found.fit
+    assert right.published(fits=True) is right
