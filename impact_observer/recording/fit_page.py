@@ -231,7 +231,7 @@ def _verdict(task: FitTask, fit: FittedRecording, hits: Sequence[ImpactEstimate]
 
 
 def _numbers(task: FitTask, fit: FittedRecording) -> Iterator[str]:
-    """Return a line for each identified number."""
+    """Return a line for each identified number, restitutions first."""
     found = fit.identification
     if found is None or fit.failure:
         return
@@ -241,7 +241,7 @@ def _numbers(task: FitTask, fit: FittedRecording) -> Iterator[str]:
     lines = [
         f"{with_unit(p.name, task.model.system.unit)} {figure(value, deviation=error)}"
         f" (given {figure(p.value, deviation=given.get(p.name, 0.0))})"
-        for p, value, error in each
+        for p, value, error in sorted(each, key=lambda row: "restitution" not in row[0].name)
     ]
     yield from lines[:_NUMBERS]
     if len(lines) > _NUMBERS:
