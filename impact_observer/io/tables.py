@@ -503,7 +503,7 @@ class _Reader:
         k = int(np.argmin(steps))
         before, after = times[: k + 1], times[k + 1 :]
         is_apart = min(len(before), len(after)) > 1 and after.max() < before.min()
-        remedy = "`sort` puts the rows in order"
+        remedy = "mend the line if its time is garbled; else `sort` puts the rows in order"
         if self.is_clock:
             remedy = "times of day need a date where they pass midnight"
         elif is_apart and -2 * steps[k] > np.ptp(times):
