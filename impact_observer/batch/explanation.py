@@ -71,8 +71,7 @@ class Explanation:
     @property
     def explains_all_stamps(self) -> bool:
         """Whether the model fits, and no stamp of the account looks spurious."""
-        farthest = float(np.max(np.abs(self.fit.standardized), initial=0.0))
-        return self.verdict.fits and farthest <= SPURIOUS
+        return self.verdict.fits and bool(np.all(np.abs(self.fit.standardized) <= SPURIOUS))
 
     @property
     def missed(self) -> int:
@@ -167,7 +166,7 @@ def _accounts(  # noqa: PLR0917
         about = problem.family.nominal if begin is None else begin
         covariance = np.diag(np.minimum(prior, share * problem.family.sizes) ** 2)
         moments = run.by_filter(problem.family, about, covariance, options, show)
-        if found and not found.is_lost and moments.each == problem.moments.each:
+        if found is not None and not found.is_lost and moments.each == problem.moments.each:
             return  # the motion is near, and nothing is missing or false
         yield begin, moments
 

@@ -46,7 +46,7 @@ from impact_observer.stamps import seconds_between
 
 _STATES = f"/{interfaces.OBSERVER_STATES.name_under(interfaces.SMOOTHER)}"
 _IMPACTS = interfaces.SMOOTHED_ESTIMATES.topic
-_NUMBERS, _DOUBTS = 5, 4
+_NUMBERS, _DOUBTS = 5, 3
 """Identified numbers and doubts that are printed, each a line."""
 
 

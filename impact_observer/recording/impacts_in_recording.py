@@ -11,7 +11,7 @@ from impact_observer.detector import Source
 from impact_observer.detector.bag_detection import BagDetection, detect_bag
 from impact_observer.detector.sensors import SignalTrace
 from impact_observer.detector.signal_detection import detect_signal
-from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH
+from impact_observer.detector.source import ARRIVAL, PEAK
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
@@ -33,6 +33,7 @@ from impact_observer.recording.detection_choice import (
     simulated_impacts,
     usual_dead_time,
 )
+from impact_observer.recording.sources_file import table_keys
 from impact_observer.recording.switch_choice import choose_switch, is_switch
 from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Stamps, Vector
@@ -115,10 +116,10 @@ def read_recording(
     try:
         return _from_file(task, bag)
     except UsageError as error:
-        if "--" not in (text := str(error)) or "--sources" in text:
+        if not (keys := table_keys(str(error))):
             raise
-        key = "such as `table: {time_unit: us}`"
-        raise UsageError(f"{text}; of fit these are keys of a file for --sources, {key}") from None
+        table = f"table: {{{', '.join(f'{key}: ...' for key in keys)}}}"
+        raise UsageError(f"{error}; of fit in a file for --sources: {table}") from None
 
 
 def _from_file(task: Task, bag: Path) -> RecordedImpacts:
@@ -236,6 +237,8 @@ def _signals_in(reader: BagReader, sources: Sequence[Source]) -> dict[str, tuple
             (header_stamp(message) or log_time, numbers_at(message, path))
             for log_time, message in reader.messages(topic)
         ]
+        if not rows:
+            continue
         values = np.array([row[1] for row in rows])
         values = values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
         arrays[source.topic] = np.array([row[0] for row in rows], np.int64), values
@@ -267,7 +270,7 @@ def _chosen(
         if given.kind == ARRIVAL and given.dead_time is None:
             dead = float(f"{usual_dead_time(expected):.3g}")
             chosen = replace(chosen, source=replace(given, dead_time=dead))
-        elif signal and given.kind in (None, SWITCH) and is_switch(given, signal[1]):
+        elif signal and is_switch(given, signal[1]):
             chosen = replace(chosen, source=choose_switch(given, *signal))
         elif signal and given.kind in (None, PEAK):
             chosen = choose_detection(given, *signal, expected)

@@ -80,6 +80,12 @@ def read_fit_sources(path: Path | None, form: TableForm | None = None) -> FitSou
         raise UsageError(f"{file}: {error}") from None
 
 
+def table_keys(text: str) -> list[str]:
+    """Return the keys of ``table`` whose options a ``text`` names, such as ``--time-unit``."""
+    names = [each.name for each in fields(TableForm)]
+    return [name for name in names if f"--{name.replace('_', '-')}" in text]
+
+
 def sources_text(sources: Iterable[Source]) -> str:
     """Return the text of a file that declares these sensors."""
     names = [each.name for each in fields(Source) if each.name != "origin"]

@@ -15,10 +15,10 @@ _LEVEL = 0.2
 def is_switch(source: Source, values: Vector) -> bool:
     """Whether the signal of a sensor has two levels: few samples lie between them.
 
-    A short pulse of a force has more samples on its flanks than at its top. A sensor with a
-    threshold is a switch where it is declared to be one.
+    A short pulse of a force has more samples on its flanks than at its top. A kind that is
+    declared counts; a threshold without a kind makes a peak.
     """
-    if source.kind == SWITCH or source.threshold is not None:
+    if source.kind or source.threshold is not None:
         return source.kind == SWITCH
     low, high = float(np.min(values)), float(np.max(values))
     width = _LEVEL * (high - low)

@@ -313,6 +313,17 @@ def test_a_switch_in_a_bag_that_opens_at_a_hit_is_inverted(run: Run, rig: Path) 
     assert any(f"{len(run.events)} impacts of stop; switch, inverted" in each for each in said)
 
 
+def test_a_switch_without_a_message_is_named(
+    rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A topic that nobody published on; exit code 1, and no folder."""
+    with BagWriter(rig / "bag") as writer:
+        writer.declare("/sensor", type_name="std_msgs/msg/Bool", quality=Quality(reliable=False))
+    assert main(["fit", "bag", "rig.yaml", "-o", "out", "--epoch", "1"]) == 1
+    assert "/sensor" in capsys.readouterr().err
+    assert not (rig / "out").exists()
+
+
 def test_forces_of_one_frequency_keep_their_phases_to_each_other(run: Run, rig: Path) -> None:
     """Without an epoch two forces half a turn apart are late by one time."""
     pair = (
